@@ -77,7 +77,11 @@ def test_the_page_begins_with_the_colours_of_the_viewer(tmp_path, baked, scene):
 
 def test_every_format_has_a_test_here():
     assert {*EXPECTED, "cameras", "page"} == {each.name for each in FORMATS.values() if each.in_all}
-    assert {each.name for each in FORMATS.values() if not each.in_all} == {"ortho", "elevation"}
+    assert {each.name for each in FORMATS.values() if not each.in_all} == {
+        "marks",
+        "ortho",
+        "elevation",
+    }
 
 
 def test_all_writes_every_format(tmp_path, solid, scene):

@@ -50,8 +50,10 @@ _FORMATS = (
     _format("mesh", "triangles with colour and temperature"),
     _format("cameras", "transforms.json, a COLMAP model and the undistorted images"),
     _format("page", "one HTML file", "page.write:export"),
+    _format("marks", "marks for GIS and CAD: GeoJSON, GeoPackage, DXF, KML; not part of all",
+            required="marks:require_marks", in_all=False),
     *(
-        _format(name, f"{what} in °C: GeoTIFF and PNG; not part of all", f"maps:export_{name}",
+        _format(name, f"{what} in °C: GeoTIFF, DXF, PNG; not part of all", f"maps:export_{name}",
                 f"maps:require_{name}", in_all=False)
         for name, what in (("ortho", "map from above"), ("elevation", "map of a façade"))
     ),

@@ -1,15 +1,21 @@
-"""``ortho`` and ``elevation``: maps as GeoTIFFs with sidecars and QGIS styles, and as pictures."""
+"""``ortho`` and ``elevation``: maps as GeoTIFFs with sidecars and QGIS styles, as pictures,
+as drawings for CAD, and on Earth as overlays for globes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
+from PIL import Image
 
 from mrgs.errors import ConfigError
 from mrgs.export.job import ExportJob, comment_lines, described
+from mrgs.export.marks import features_of, require_ezdxf, write_dxf
 from mrgs.maps.crs import (
+    LOCAL,
     CoordinateSystem,
     coordinate_system,
     local_wkt,
@@ -25,6 +31,7 @@ from mrgs.maps.draw import (
     map_scale,
     require_rasterio,
     write_geotiff,
+    write_kmz,
     write_style,
 )
 from mrgs.maps.facade import facade_grid
@@ -38,10 +45,10 @@ COMPASS = ("north", "north-east", "east", "south-east", "south", "south-west", "
 
 
 def require_elevation(scene: Scene, crs: str | None = None) -> None:
-    """Check that the map of a façade can be written, which is in no CRS. ConfigError if rasterio or
-    pyproj is not installed, the scene has no °C, or is not known to be in metres."""
-    require_rasterio()
-    require_pyproj()
+    """Check that the map of a façade can be written, which is in no CRS. ConfigError if rasterio,
+    pyproj or ezdxf is not installed, the scene has no °C, or is not known to be in metres."""
+    for require in (require_rasterio, require_pyproj, require_ezdxf):
+        require()
     if scene.temperature is None or THERMAL not in scene.modalities:
         raise ConfigError(
             f"{scene.name} has no temperatures in °C, which a map shows: give it a "
@@ -58,12 +65,13 @@ def require_ortho(scene: Scene, crs: str | None = None) -> None:
 
 
 def export_ortho(job: ExportJob) -> list[Path]:
-    """Write ``ortho.tif`` with its sidecar and its style for QGIS, and ``ortho.png``."""
+    """Write ``ortho.tif`` with its sidecar and its style for QGIS, ``ortho.png``, ``ortho.dxf``
+    with the picture in it, and of a scene with a place on Earth ``ortho.kmz``."""
     system = coordinate_system(job.scene, job.maps.crs)
     maps = survey(job.baked, job.scene)
     grid, coverage = grid_from_above(job.scene, maps, system, job.maps)
     drawn = draw_map(job.baked, job.scene, maps, grid, job.appraised, coverage)
-    return _write_map(job, "ortho", drawn, system.wkt, *ortho_texts(job.scene.name, drawn, system))
+    return _write_map(job, "ortho", drawn, system, *ortho_texts(job.scene.name, drawn, system))
 
 
 def ortho_texts(
@@ -88,7 +96,8 @@ def ortho_texts(
 
 
 def export_elevation(job: ExportJob) -> list[Path]:
-    """Write ``elevation.tif`` with its sidecar and its style for QGIS, and ``elevation.png``.
+    """Write ``elevation.tif`` with its sidecar and its style for QGIS, ``elevation.png``, and
+    ``elevation.dxf`` with the picture in it.
 
     Its coordinates are metres to the right and upwards from the lower left corner of the map, whose
     place in the scene is in the sidecar.
@@ -96,8 +105,8 @@ def export_elevation(job: ExportJob) -> list[Path]:
     maps = survey(job.baked, job.scene)
     grid = facade_grid(job.scene, maps, job.maps)
     drawn = draw_map(job.baked, job.scene, maps, grid, job.appraised)
-    wkt = local_wkt(f"{job.scene.name} façade")
-    return _write_map(job, "elevation", drawn, wkt, *elevation_texts(job.scene, drawn))
+    system = replace(LOCAL, wkt=local_wkt(f"{job.scene.name} façade"))
+    return _write_map(job, "elevation", drawn, system, *elevation_texts(job.scene, drawn))
 
 
 def elevation_texts(scene: Scene, drawn: OrthographicMap) -> tuple[Caption, dict[str, Any]]:
@@ -121,12 +130,17 @@ def _write_map(
     job: ExportJob,
     name: str,
     drawn: OrthographicMap,
-    wkt: str,
+    system: CoordinateSystem,
     caption: Caption,
     facts: dict[str, Any],
 ) -> list[Path]:
-    """Write ``NAME.tif``, ``NAME.qml`` and ``NAME.png``; returns the paths."""
+    """Write ``NAME.tif``, ``NAME.qml`` and ``NAME.png``, ``NAME.dxf`` with ``NAME_map.png``, on
+    Earth ``NAME.kmz``; returns the paths."""
     grid = drawn.grid
+
+    def flat(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        return np.column_stack([grid.to_map(points), np.zeros(len(points))])
+
     facts = job.surface_facts | {
         **facts,
         "bands": BANDS,
@@ -137,12 +151,19 @@ def _write_map(
     }
     tags = dict(line.split(": ", 1) for line in comment_lines(facts))
     paths = described(
-        write_geotiff(job.folder / f"{name}.tif", grid, drawn.bands, BANDS, wkt, tags), facts
+        write_geotiff(job.folder / f"{name}.tif", grid, drawn.bands, BANDS, system.wkt, tags), facts
     )
     scale = map_scale(drawn, job.palette, job.range_c)
-    style = write_style(job.folder / f"{name}.qml", scale)
-    picture = map_picture(drawn, caption, scale)
-    return [*paths, style, write_png(job.folder / f"{name}.png", picture)]
+    paths.append(write_style(job.folder / f"{name}.qml", scale))
+    paths.append(write_png(job.folder / f"{name}.png", map_picture(drawn, caption, scale)))
+    known = np.isfinite(drawn.celsius)
+    pixels = np.dstack([scale.colorize(drawn.celsius), 255 * known.astype(np.uint8)])
+    bare = write_png(job.folder / f"{name}_map.png", Image.fromarray(pixels))
+    shown = [each for each in features_of(job) if grid.shows(np.array(each[2].points))]
+    paths += [bare, write_dxf(job.folder / f"{name}.dxf", shown, flat, (bare.name, grid))]
+    if system.on_earth:
+        paths.append(write_kmz(job.folder / f"{name}.kmz", pixels, grid, system.wkt))
+    return paths
 
 
 def _summary(drawn: OrthographicMap) -> str:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from importlib import import_module
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError, RunError
@@ -268,9 +268,18 @@ def _draw_north(picture: Image.Image, middle: tuple[float, float], angle_deg: fl
     draw_text(picture, (x, y + 7), "N", 20, anchor="ms", bold=True)
 
 
-TILE_PX = 256
+CLOUD_OPTIMISED = {
+    "driver": "COG", "compress": "deflate", "predictor": "yes", "blocksize": 256,
+    "overview_resampling": "average", "bigtiff": "if_safer",
+}  # fmt: skip
+"""How GDAL writes a GeoTIFF of which programs on a network read the parts that they show."""
 
-require_rasterio = partial(optional_package, "rasterio", "maps", "export")
+
+def require_rasterio() -> Any:
+    """Import the package rasterio. ConfigError if it is not installed."""
+    rasterio = optional_package("rasterio", "maps", "export")
+    import_module("rasterio.shutil")
+    return rasterio
 
 
 def write_geotiff(
@@ -282,21 +291,15 @@ def write_geotiff(
     tags: Mapping[str, str],
 ) -> Path:
     """Write the bands of a map, their units by their names, in a coordinate system (WKT) with tags,
-    tiled and compressed without loss; returns the path. ConfigError if rasterio is not installed,
-    RunError if the file cannot be written."""
+    as a cloud-optimised GeoTIFF without loss; returns the path. ConfigError if rasterio is not
+    installed, RunError if the file cannot be written."""
     rasterio = require_rasterio()
-    profile = {
-        "driver": "GTiff", "dtype": "float32", "nodata": float("nan"), "count": len(units),
-        "width": grid.width, "height": grid.height,
-        "crs": rasterio.crs.CRS.from_wkt(wkt),
-        "transform": rasterio.Affine(grid.pixel_m, 0.0, grid.left, 0.0, -grid.pixel_m, grid.top),
-        "tiled": True, "blockxsize": TILE_PX, "blockysize": TILE_PX,
-        "compress": "deflate", "predictor": 3, "BIGTIFF": "IF_SAFER",
-    }  # fmt: skip
+    values = {"dtype": "float32", "nodata": float("nan"), "count": len(units)}
     color = rasterio.enums.ColorInterp
     with replacing(path) as temporary:
+        plain = temporary.with_name("plain.tif")  # GDAL writes these as copies only
         try:
-            with rasterio.open(temporary, "w", **profile) as file:
+            with rasterio.open(plain, "w", **values, **_profile(grid, wkt)) as file:
                 file.write(bands)
                 file.update_tags(**tags)
                 colors = {name: color[name] for name in ("red", "green", "blue")}
@@ -304,9 +307,35 @@ def write_geotiff(
                 for number, (name, unit) in enumerate(units.items(), start=1):
                     file.set_band_description(number, name)
                     file.set_band_unit(number, unit)
+            rasterio.shutil.copy(plain, temporary, **CLOUD_OPTIMISED)
         except rasterio.errors.RasterioError as error:
             raise OSError(0, f"GDAL: {error}") from error
     return path
+
+
+def write_kmz(path: Path, pixels: UInt8[np.ndarray, "h w 4"], grid: MapGrid, wkt: str) -> Path:
+    """Write the picture of a map (RGBA) in a coordinate system on Earth (WKT) as an overlay for
+    Google Earth and others, in tiles; returns the path. Errors as for ``write_geotiff``."""
+    rasterio = require_rasterio()
+    with replacing(path) as temporary:
+        plain = temporary.with_name("plain.tif")
+        try:
+            with rasterio.open(plain, "w", dtype="uint8", count=4, **_profile(grid, wkt)) as file:
+                file.write(pixels.transpose(2, 0, 1))
+            rasterio.shutil.copy(plain, temporary, driver="KMLSUPEROVERLAY", format="PNG")
+        except rasterio.errors.RasterioError as error:
+            raise OSError(0, f"GDAL: {error}") from error
+    return path
+
+
+def _profile(grid: MapGrid, wkt: str) -> dict[str, Any]:
+    """What rasterio takes to write a map as GeoTIFF, but for its values."""
+    rasterio = require_rasterio()
+    edges = rasterio.Affine(grid.pixel_m, 0.0, grid.left, 0.0, -grid.pixel_m, grid.top)
+    return {
+        "driver": "GTiff", "BIGTIFF": "IF_SAFER", "width": grid.width, "height": grid.height,
+        "crs": rasterio.crs.CRS.from_wkt(wkt), "transform": edges,
+    }  # fmt: skip
 
 
 STOPS = 16

@@ -105,6 +105,17 @@ class MapGrid:
         along = np.einsum("nj,j->n", means, self.axes[2])
         return (along >= low) & (along <= high)
 
+    def pixels_of(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+        """Columns and rows of points of the scene; NaN for what is before or behind the slab."""
+        pixels = (self.to_map(points) - (self.left, self.top)) * (1, -1) / self.pixel_m
+        pixels[~self.inside(points)] = np.nan
+        return pixels
+
+    def shows(self, points: Float64[np.ndarray, "n 3"]) -> bool:
+        """Whether all of some points of the scene are on the map."""
+        pixels = self.pixels_of(points)
+        return bool(((pixels >= 0) & (pixels <= (self.width, self.height))).all())
+
     def _on_plane(self, u: float, v: float, along: float) -> Float64[np.ndarray, "3"]:
         across = (np.array([u, v]) - self.offset) / self.scale
         return np.einsum("i,ij->j", np.append(across, along), self.axes)

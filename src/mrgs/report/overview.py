@@ -230,17 +230,18 @@ class TemperatureMap:
 
     def shows(self, mark: Mark) -> bool:
         """Whether all of a mark is on the map."""
-        corners, size = self._pixels(mark), self.drawn.celsius.shape[::-1]
-        return bool(((corners >= 0) & (corners <= size)).all())
+        return self.drawn.grid.shows(np.array(mark.points))
 
     def picture(self, marks: Mapping[str, Mark], style: Style = PLAIN) -> Image.Image:
         """The temperatures with legend and scale bar, and the marks on it under their names."""
         scale = map_scale(self.drawn, style.palette, style.limits)
         scale = scale._replace(decimal=style.decimal, unit=self.unit)
         body, metres_per_px = map_body(self.drawn, scale)
-        zoom = self.drawn.grid.pixel_m / metres_per_px
+        grid, zoom = self.drawn.grid, self.drawn.grid.pixel_m / metres_per_px
         shown = {
-            name: zoom * self._pixels(each) for name, each in marks.items() if self.shows(each)
+            name: zoom * grid.pixels_of(np.array(each.points))
+            for name, each in marks.items()
+            if self.shows(each)
         }
         draw_marks(body, marks, shown)
         metres = metres_per_px if self.metric else None
@@ -257,16 +258,10 @@ class TemperatureMap:
             size = round(zoom * colors.shape[1]), round(zoom * colors.shape[0])
             image = Image.fromarray(pale.astype(np.uint8)).resize(size, Image.Resampling.BICUBIC)
             metres_per_px = self.drawn.grid.pixel_m / zoom
-        corners = self._pixels(mark) * (self.drawn.grid.pixel_m / metres_per_px)
+        grid = self.drawn.grid
+        corners = grid.pixels_of(np.array(mark.points)) * (grid.pixel_m / metres_per_px)
         draw_place(image, mark, corners, SMALL_RADIUS * max(image.size))
         return small_picture(image)
-
-    def _pixels(self, mark: Mark) -> Float64[np.ndarray, "n 2"]:
-        """Pixels of a mark in the map; NaN for what is too far before or behind its plane."""
-        grid, points = self.drawn.grid, np.array(mark.points, dtype=np.float64)
-        corners = (grid.to_map(points) - (grid.left, grid.top)) * (1, -1) / grid.pixel_m
-        corners[~grid.inside(points)] = np.nan
-        return corners
 
 
 def has_map(scene: Scene) -> bool:
