@@ -14,7 +14,7 @@ from mrgs.field import FieldConfig, RadianceField
 from mrgs.field.spherical_harmonics import C0
 from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model
-from mrgs.report.write import require_weasyprint
+from mrgs.report.copies import require_weasyprint
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Gaussians, Pixels, PosedImage, Scene
 from tests.helpers.changed_views import with_image

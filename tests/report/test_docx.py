@@ -15,7 +15,7 @@ from mrgs.app.cli import main
 from mrgs.errors import ConfigError
 from mrgs.pictures.drawing import blank, draw_text
 from mrgs.report import report_run
-from mrgs.report.write import write_docx
+from mrgs.report.copies import write_copies
 from mrgs.runs.open import Run
 from mrgs.scene import Scene
 from mrgs.survey import Survey, write_survey
@@ -85,7 +85,7 @@ def test_pictures_fit_the_page_and_a_profile_is_one_of_them(written):
 def test_without_the_library_one_line_says_how_to_get_it(run, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "docx", None)
     with pytest.raises(ConfigError, match=r'pip install "mrgs\[report\]"') as refused:
-        write_docx(Path("report.html"), Path("report.docx"))
+        write_copies(Path("report.html"), docx=True)
     assert "\n" not in str(refused.value)
     assert main(["report", str(run.folder.path), "--docx"]) == 2
     assert "python-docx" in capsys.readouterr().err
@@ -97,7 +97,8 @@ def converted(folder: Path, body: str, title: str = "Report"):
     page = folder / "page.html"
     text = f'<html lang="en"><head><title>{title}</title></head><body>{body}</body></html>'
     page.write_text(text, encoding="utf-8")
-    return docx.Document(str(write_docx(page, folder / "page.docx")))
+    (path,) = write_copies(page, docx=True)
+    return docx.Document(str(path))
 
 
 def test_charts_have_the_letters_of_all_pictures(tmp_path):

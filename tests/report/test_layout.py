@@ -13,7 +13,7 @@ import pytest
 
 from mrgs import open_marks
 from mrgs.report import report_run
-from mrgs.report.write import require_weasyprint
+from mrgs.report.copies import require_weasyprint
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL

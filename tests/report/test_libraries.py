@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mrgs.errors import ConfigError
-from mrgs.report.write import write_pdf
+from mrgs.report.copies import write_copies
 
 pytestmark = pytest.mark.skipif(
     find_spec("weasyprint") is None, reason="weasyprint is not installed"
@@ -36,8 +36,8 @@ def write_without(
         hidden = library
         page = tmp_path / "report.html"
         page.write_text("<h1>Report</h1>", encoding="utf-8")
-        write_pdf(page, tmp_path / "report.pdf")
-        return tmp_path / "report.pdf"
+        (path,) = write_copies(page, pdf=True)
+        return path
 
     monkeypatch.setattr(cffi.FFI, "dlopen", dlopen)
     for name in [name for name in sys.modules if name.split(".")[0] == "weasyprint"]:

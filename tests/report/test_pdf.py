@@ -6,7 +6,7 @@ import pytest
 from PIL import Image, ImageFile
 
 from mrgs.errors import ConfigError
-from mrgs.report.write import write_pdf
+from mrgs.report.copies import write_copies
 
 
 @pytest.mark.usefixtures("pango")
@@ -18,7 +18,8 @@ def test_a_page_becomes_a_pdf_and_nothing_is_fetched(tmp_path):
         f"<link rel=stylesheet href='{secret.as_uri()}'><h1>Report</h1><img src='http://a.invalid/b'>",
         encoding="utf-8",
     )
-    assert write_pdf(page, tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+    (path,) = write_copies(page, pdf=True)
+    assert path.read_bytes().startswith(b"%PDF")
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "report.html", "report.pdf", "secret.css",
     ]  # fmt: skip
@@ -32,7 +33,8 @@ def test_no_file_beside_the_page_comes_into_a_pdf(tmp_path):
     sizes = []
     for source in ("data:,", picture.as_uri(), "secret.png"):
         page.write_text(f"<h1>Report</h1><img src='{source}'>", encoding="utf-8")
-        content = write_pdf(page, tmp_path / "report.pdf").read_bytes()
+        (path,) = write_copies(page, pdf=True)
+        content = path.read_bytes()
         assert b"/Subtype /Image" not in content
         sizes.append(len(content))
     assert len(set(sizes)) == 1
@@ -41,4 +43,4 @@ def test_no_file_beside_the_page_comes_into_a_pdf(tmp_path):
 def test_without_weasyprint_it_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "weasyprint", None)
     with pytest.raises(ConfigError, match=r'pip install "mrgs\[report\]"'):
-        write_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
+        write_copies(tmp_path / "report.html", pdf=True)

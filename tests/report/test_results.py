@@ -20,10 +20,10 @@ from mrgs.marks import Mark
 from mrgs.marks.measure import MarkReading
 from mrgs.pictures.page_data import PALETTE_CHOICES
 from mrgs.report import report_run
+from mrgs.report.copies import require_weasyprint
 from mrgs.report.findings import like_parts
 from mrgs.report.overview import Style
 from mrgs.report.sections import read_logo
-from mrgs.report.write import require_weasyprint
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene, TemperatureRange

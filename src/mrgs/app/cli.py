@@ -305,13 +305,10 @@ def _export(command: commands.Export) -> None:
 def _report(command: commands.Report) -> None:
     from mrgs.pipeline.forecast import expect_report
     from mrgs.report import report_run
-    from mrgs.report.write import require_docx, require_weasyprint
+    from mrgs.report.copies import require_packages
     from mrgs.runs.open import load_run
 
-    if command.pdf:
-        require_weasyprint()
-    if command.docx:
-        require_docx()
+    require_packages(command.pdf, command.docx)
     run = load_run(command.run, command.scene, command.device)
     note_unfinished(run)
     stated = _stated_survey(command)
@@ -327,13 +324,11 @@ def _report(command: commands.Report) -> None:
 def _diff(command: commands.Diff) -> None:
     from mrgs.pictures.numbers import number_text
     from mrgs.report.changes import HEADINGS, diff_runs
-    from mrgs.report.write import require_weasyprint
+    from mrgs.report.copies import require_packages
     from mrgs.runs.open import load_run
     from mrgs.system.wording import aligned, counted
 
-    if command.pdf:
-        require_weasyprint()
-
+    require_packages(command.pdf)
     first, second = (
         cropped(load_run(path, None, command.device)) for path in (command.first, command.second)
     )

@@ -38,9 +38,9 @@ from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit
+from mrgs.report.copies import require_packages, write_copies
 from mrgs.report.overview import Style, TemperatureMap, draw_temperature_map, has_map
 from mrgs.report.texts import Language, Texts
-from mrgs.report.write import require_weasyprint, write_pdf
 from mrgs.runs.baked import bake
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene, WorldFrame, evenly_spaced
@@ -246,8 +246,7 @@ class Differences:
 
         ConfigError if that needs weasyprint of mrgs[report], RunError if a file cannot be written,
         SceneError if a photo cannot be read."""
-        if pdf:
-            require_weasyprint()
+        require_packages(pdf)
         folder, t, (first, second) = Path(folder), Texts(language), self.dates
         world, every = first.scene.world, (*self.changes, *self.marks)
         rows = [facts_of(each, world) for each in every]
@@ -290,7 +289,7 @@ class Differences:
             runs=[str(each.run.folder.path) for each in self.dates],
             notes=[t(note) for note in dict.fromkeys(notes)],
         )
-        pdfs = [write_pdf(page, page.with_suffix(".pdf"))] if pdf else []
+        pdfs = write_copies(page, pdf)
         return [page, *paths, *pdfs]
 
 

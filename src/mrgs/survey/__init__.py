@@ -188,9 +188,10 @@ def read_survey(path: Path) -> Survey:
 def survey_of(folder: Path) -> Survey:
     """The survey of a run; where it has none, one to fill in is written into its folder. Errors as
     for ``read_survey``, also RunError if it cannot be written."""
+    survey = read_survey(folder / SURVEY_FILE)
     if not (folder / SURVEY_FILE).exists():
-        write_survey(folder / SURVEY_FILE, Survey())
-    return read_survey(folder / SURVEY_FILE)
+        write_survey(folder / SURVEY_FILE, survey)
+    return survey
 
 
 def write_survey(path: Path, survey: Survey) -> Path:
