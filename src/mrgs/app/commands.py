@@ -45,7 +45,7 @@ RenderDevice = Annotated[
 ]
 
 QualityName = Literal["fast", "default", "best"]
-"""As in ``mrgs.pipeline.quality``, which loads torch."""
+"""As in ``mrgs.pipeline.plan``, which loads torch."""
 
 PaletteChoice = Literal["inferno", "iron", "grey", "black-hot", "rainbow", "arctic", "lava"]
 """As in ``mrgs.pictures.page_data``, which loads torch; grey is white-hot."""

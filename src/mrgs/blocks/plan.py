@@ -164,7 +164,7 @@ OVERLAP = 0.15
 
 class BlockOptions(NamedTuple):
     """How a scene is to be cut: ``auto`` or ``ROWSxCOLUMNS``, and the width of the margin about
-    each block that is trained with it, scene units; None for a share of the smallest block."""
+    each block that is trained with it, scene units; None for a share of the narrowest one."""
 
     blocks: str = "auto"
     overlap: float | None = None

@@ -110,7 +110,7 @@ def require_same_config(folder: Path, config: RunConfig, scores: Scores | None) 
 
 
 def _is_trained(folder: Path, config: RunConfig) -> bool:
-    """Whether the newest checkpoint, by its name, is that of the last step."""
+    """Whether there is a checkpoint of the last step, by its name."""
     return config.max_steps in (
         int(path.stem.removeprefix("step_")) for path in RunFolder(folder).checkpoints()
     )

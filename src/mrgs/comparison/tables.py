@@ -126,7 +126,7 @@ def published_rows(table: str, scene: str) -> dict[str, dict[str, float | None]]
 
 
 def published_figure(table: str, row: str, figure: str, scene: str) -> Figure:
-    """A figure of the paper, by its key in ``results.figure_keys``."""
+    """A figure of the paper, by its key (one of ``table.figure_keys``)."""
     figures = published_rows(table, scene).get(row)
     if figures is None:
         return Missing("the paper has no figures of this scene")

@@ -258,6 +258,15 @@ def decode_mask(path: Path) -> Bool[Tensor, "h w"]:
     return (decode(path).values > black).any(dim=-1)
 
 
+def read_float_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
+    """Numbers of a TIFF with one channel of float32, as ``numbers_of``. SceneError if the file is
+    damaged, or of another kind."""
+    with opened(path, formats=("TIFF",)) as image:
+        if image.mode != "F":
+            raise scene_error(path, f"is no TIFF with one float32 channel (mode {image.mode})")
+        return numbers_of(image)
+
+
 def _mask(usable: np.ndarray) -> Bool[Tensor, "h w"] | None:
     return None if usable.all() else torch.from_numpy(usable)
 

@@ -92,10 +92,10 @@ def warn_of_missing(custom_parts: Iterable[str]) -> None:
 def check_kernels(
     state: TrainingState, scene: Scene, config: TrainConfig, scale: SceneScale
 ) -> None:
-    """Take the forward pass of a training step on a sample of the model, and compare each kernel
-    with its plain definition: values and gradients. A MrgsWarning if one differs, which is not used
-    any more in this process (``operation.checking``). The state is left as it is. Photos of all
-    modalities are random numbers, once with masks and once without."""
+    """Take the forward pass of a training step on a sample of the model, and a step of Adam, and
+    compare each kernel with its plain definition: values and gradients. A MrgsWarning if one
+    differs, which is not used any more in this process (``operation.checking``). The state is left
+    as it is. Photos of all modalities are random numbers, once with masks and once without."""
     scale = scale._replace(thermal_noise=max(scale.thermal_noise, NOISE))
     generator, device = torch.Generator().manual_seed(0), state.device
     missing = {modality for view in scene.train for modality in view.images}
