@@ -62,13 +62,11 @@ class BlockTraining:
     Finished parts are not done again, so that the same call continues what was ended at any moment.
 
     Attributes:
-        scene: the whole.
         folder: of the joined run; blocks are below it.
         config: of the whole; steps and largest number of Gaussians are those of each block.
         options: how it is cut.
         device: where it is trained.
         plain: run the plain definitions of all operations.
-        follow: shows each training.
         say: takes lines for the user.
     """
 

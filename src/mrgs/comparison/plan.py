@@ -248,7 +248,7 @@ def configure(variant: Variant, options: Options, seed: int) -> RunConfig:
 
 
 def from_text(text: str) -> RunConfig:
-    """A configuration of any method, as ``write_yaml`` wrote it. ConfigError if it is none."""
+    """A configuration of any method, as ``write_yaml`` wrote it. ConfigError for any other text."""
     method = find_method(_method_in(text, "the request"))
     config: RunConfig = method.read_config(text, "the request")
     return config

@@ -46,7 +46,7 @@ class Lpips:
 
     @classmethod
     def found(cls, path: Path | None) -> Lpips | None:
-        """With the weights of a file, or if that is None with those among the checkpoints of
+        """LPIPS with the weights of a file, or if that is None with those among the checkpoints of
         torch's hub; None if there are none, or with a warning if these cannot be used, as nobody
         asked for them. RunError as for ``from_file`` for the file."""
         if path is not None:

@@ -244,7 +244,7 @@ def _celsius(
 def _temperatures(
     path: Path, image: Decoded, temperature: TemperatureRange | None
 ) -> Float32[Tensor, "h w 1"]:
-    """From ``thermal/``: floats are °C, integers are spread over the range already."""
+    """Normalised temperatures from ``thermal/``: floats are °C, integers span the range already."""
     if image.kind == "float":
         return _celsius(path, image, temperature)
     values = image.values

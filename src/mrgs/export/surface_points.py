@@ -70,7 +70,7 @@ def value_columns(
 
 MIN_OPACITY = 0.3
 """A splat becomes a point if one of its opacities reaches this: fainter ones fill gaps and haze,
-and lie off the surfaces."""
+and are off the surfaces."""
 
 Columns: TypeAlias = Mapping[str, Float32[np.ndarray, " m"] | UInt8[np.ndarray, " m"]]
 """Colours, temperatures and other values by their names in files."""

@@ -1,5 +1,5 @@
 """The pixels of an orthographic map, the camera that draws them, and what photos show there. A
-camera from very far away is orthographic but for relief / distance: see ``docs/decisions``."""
+camera from very far away is orthographic but for relief / distance (docs/decisions, 033)."""
 
 from __future__ import annotations
 

@@ -297,7 +297,7 @@ def _with_values(
 def _with_difference(
     reading: MarkReading, named: dict[str, MarkReading], reference: str
 ) -> MarkReading:
-    """With ΔT to the mark that it is compared with, if there is one."""
+    """The reading with ΔT to the mark that it is compared with, if there is one."""
     other = reading.mark.against or reference
     if not other or other == reading.mark.name:
         return reading

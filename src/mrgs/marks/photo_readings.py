@@ -73,10 +73,10 @@ class Shares(NamedTuple):
 
 
 OF_POINT = Shares(0.85, 0.6, 0.0)
-"""For what the photos' cameras see at a single point, which has no deviation."""
+"""Shares for what the photos' cameras see at a single point, which has no deviation."""
 
 OF_MARK = Shares(1.95, 1.0, 1.0)
-"""For the mean of a mark."""
+"""Shares for the mean of a mark."""
 
 FEW_PHOTOS = 2.0
 """The scatter of n photos counts 1 + 2 / (n − 1) times: few may agree by chance."""

@@ -1,6 +1,6 @@
 """Places on a surface by the photos themselves (multi-view stereo).
 
-A model's surfaces lie some tenths of a per cent of their distance off, and from every side alike:
+A model's surfaces are off by some tenths of a per cent of their distance, from every side alike:
 what one view has of them is as good as the mean of all. The photos know better. A small patch of
 the surface, moved to where all photos that see it show the same in it, is where the object is; what
 has no texture stays where the model has it.

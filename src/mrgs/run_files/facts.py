@@ -25,7 +25,7 @@ SAME = 1e-6
 """Relative difference up to which cameras count as equal: other machines round differently."""
 
 ROUNDING = 1e-9
-"""The same relative to the largest of the compared numbers, for numbers near 0."""
+"""The same difference relative to the largest of the compared numbers, for numbers near 0."""
 
 _READERS = 4
 """Number of threads that read photos."""

@@ -48,7 +48,7 @@ LEAST_TRANSMISSION = 0.01
 """The empirical formula falls below 0 in kilometres of damp air."""
 
 DELIVERED_C = 20.0
-"""For which temperature of air and reflection cameras are set when they are delivered."""
+"""Temperature of air and reflection for which cameras are set when they are delivered, °C."""
 
 
 def usual_parameters(records: Iterable[PhotoRecord]) -> ObjectParameters | None:
@@ -86,7 +86,7 @@ class AirPath(NamedTuple):
         radiance: BandRadiance | None,
         farthest: float = math.inf,
     ) -> AirPath | None:
-        """That of a scene's photos; None where their parameters are not known, or the air is as
+        """The air of a scene's photos; None where their parameters are not known, or the air is as
         the camera was delivered: what a path of tens of metres of it would add is not known."""
         records = list(records)
         noted = usual_parameters(records)

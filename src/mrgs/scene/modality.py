@@ -74,7 +74,7 @@ class Modality:
     @classmethod
     def from_json(cls, value: object) -> Modality:
         """A modality from a JSON object with ``name`` and ``channels``; ``unit`` and ``title`` may
-        be left out. ValueError if the value is none."""
+        be left out. ValueError for any other value."""
         try:
             return from_json(cls, value)
         except ValueError as error:

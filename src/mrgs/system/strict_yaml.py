@@ -81,8 +81,8 @@ def _parsed(text: str) -> Any:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Refuses keys that stand twice in a mapping, of which others take the last, and what makes a
-    short text a large value, or a slow one: aliases, merges and deep lists."""
+    """Refuses duplicate keys of a mapping, of which others take the last, and what makes a short
+    text a large value, or a slow one: aliases, merges and deep lists."""
 
     depth = 0
 
@@ -106,7 +106,7 @@ class _StrictLoader(yaml.SafeLoader):
             if not isinstance(key, yaml.ScalarNode):
                 raise yaml.YAMLError("a key is no plain value")
             if (key.tag, key.value) in seen:
-                raise yaml.YAMLError(f"the key {shown(key.value)} stands twice")
+                raise yaml.YAMLError(f"duplicate key {shown(key.value)}")
             seen.add((key.tag, key.value))
         return super().construct_mapping(node, deep)
 

@@ -30,7 +30,8 @@ SPARE = 1.25
 """Room of the lists of a recorded pass, in lengths of the longest one so far: views differ."""
 
 MOST_RECORDINGS = 8
-"""At a time; each keeps the memory of a pass. Views of more kinds than this are not recorded."""
+"""Largest number of recordings at a time; each keeps the memory of a pass. Views of more kinds than
+this are not recorded."""
 
 STALE_AFTER = 1000
 """Runs after which an unused recording makes room for another."""

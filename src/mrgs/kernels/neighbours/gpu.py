@@ -51,7 +51,8 @@ SPREADING = (
 INFINITE_BITS = tl.constexpr(0x7F800000)
 NO_KEY = tl.constexpr(0x7FFFFFFFFFFFFFFF)
 SLACK = tl.constexpr(0.99999)
-"""Of a box's squared distance: it is rounded otherwise than the distances between the points."""
+"""Factor on a box's squared distance, which is rounded differently from distances between points:
+the box must never seem farther away than its points."""
 
 
 @triton.jit(do_not_specialize=("count", "blocks"))

@@ -17,13 +17,15 @@ from mrgs.scene import Camera, Modality, Pixels, Rendering
 COARSEST = 1 / 80
 """Both images are first smoothed by Gaussians of this share of the width, then by half of that, and
 so on down to a pixel: errors that are larger than the details of an image are found in the coarser
-ones. Motions are expected to be about so long, and where photos do not tell, shorter."""
+ones. This is also the expected size of a motion; where photos give no evidence, the estimate is
+smaller."""
 
 ROUNDS = 3
 """Steps of Gauss–Newton with each width."""
 
 OUTLYING = 2.0
-"""Standard deviations above which differences hardly count: no motion of the camera's."""
+"""Standard deviations above which differences hardly count; they are not due to the camera's
+motion."""
 
 LEAST_DEVIATION = 2e-3
 """Standard deviation of what differs where the images are even, as a share of their range."""
@@ -165,7 +167,6 @@ class _Places(NamedTuple):
     """Pixels of an image that show a surface and count in the photo.
 
     Attributes:
-        row, column: of the pixels.
         centres: of the pixels, in the image.
         shifts: J, in pixels along the axes of the motion.
         step: from one pixel to the next, in each direction.
@@ -182,7 +183,6 @@ class _Samples(NamedTuple):
     """Some pixels of an image, smoothed.
 
     Attributes:
-        places: the pixels.
         rendered: values and their slopes to the right and downwards, [k, C, 3].
         photo: the same of the whole photo, [C · 3, h, w].
         share: of independent ones among them: neighbours are smoothed together.

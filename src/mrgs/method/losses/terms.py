@@ -189,11 +189,11 @@ class Boltzmann(Term):
 
 
 BEGINS = 0.3
-"""Share of the steps before L_dist, which would hold on to what was not yet seen through:
-docs/decisions."""
+"""Share of the steps before L_dist, which would hold on to what was not yet seen through
+(docs/decisions, 051)."""
 
 EVERY = 8
-"""Steps from one use of L_dist to the next, which counts for all of them: docs/decisions."""
+"""Steps from one use of L_dist to the next, which counts for all of them (docs/decisions, 051)."""
 
 PIXEL_SIZE = 2
 """Side of a pixel in which L_dist is computed, in pixels of the photo."""

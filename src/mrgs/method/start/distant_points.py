@@ -113,7 +113,7 @@ def _cells_at(
 def _on_sphere(
     camera: Camera, empty: Bool[Tensor, "rows columns"], ball: SceneBounds
 ) -> Float64[Tensor, "k 3"]:
-    """Where rays through the cells' middles meet the background: directions from its centre."""
+    """Directions from the background's centre to where rays through the cells' middles meet it."""
     rows, columns = empty.shape
     row, column = empty.nonzero().T
     pixels = torch.stack(

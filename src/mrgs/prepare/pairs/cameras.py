@@ -31,7 +31,8 @@ _OTHER_LENS = 1.2
 
 
 UNKNOWN_CAMERA = "does not say which camera took it"
-"""Why a thermal photo is left out whose file names no camera, where its size does not tell."""
+"""Why a thermal photo is left out whose file names no camera and whose size fits several or
+none."""
 
 
 def check_cameras(

@@ -56,7 +56,7 @@ _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?",
 """DJI's newer names: ``DJI_20240131120000_0001_T_Waypoint1``."""
 
 _PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image")
-"""In this order one file is preferred where several show the same."""
+"""Kinds in order of preference where several files show the same."""
 
 _RESERVED = {"con", "prn", "aux", "nul", *(f"{p}{n}" for p in ("com", "lpt") for n in range(10))}
 _LONGEST_NAME = 100
@@ -69,7 +69,6 @@ class Photo:
     Attributes:
         origin: path of the camera's original file without the extension, relative to the folder of
             photos.
-        kind: of its content.
         size: width and height in pixels.
         needs_tool: whether only the maker's tool reads it.
         embedded: whether a photo in visible light is inside.

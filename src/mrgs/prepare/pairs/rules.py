@@ -75,7 +75,7 @@ class Match:
 
 
 def in_order(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
-    """In natural order of the reference photos."""
+    """The pairs in natural order of the reference photos."""
     return tuple(sorted(pairs, key=lambda pair: natural(str(pair.reference.origin))))
 
 
@@ -256,7 +256,7 @@ def by_time(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     in_zones = all(photo.exif.zone_s is not None for photo in timed)
 
     def moment(photo: Photo) -> datetime:
-        """In UTC, if all photos know their zones."""
+        """When a photo was taken, in UTC if all photos know their zones."""
         assert photo.exif.taken is not None
         zone_s = photo.exif.zone_s if in_zones else None
         return photo.exif.taken - timedelta(seconds=zone_s or 0.0)

@@ -164,7 +164,7 @@ def _prefix_sums(chunk_counts, pair_counts):
 
 @strict_parallel_kernel()
 def _fill(splats, order, tiles_x, tiles_y, next_position, pair_starts, tile_splats, pair_positions):
-    """Write the lists, and, where there is room, where each Gaussian's pairs stand in them."""
+    """Write the lists, and, where there is room, where each Gaussian's pairs are in them."""
     count = splats.shape[0]
     by_gaussian = pair_starts.size > 1
     for chunk in prange(CHUNKS):

@@ -69,8 +69,8 @@ ALIGNED_REMARKS = (
 @dataclass(frozen=True)
 class Outcomes:
     """All outcomes of a comparison, by scene and method: scenes in the order of the columns,
-    methods in that of the rows, without those of the table of neighbours alone, of which
-    ``neighbours`` has the method of each n."""
+    methods in that of the rows, without methods that occur only in the table of neighbours;
+    ``neighbours`` maps each n to its method."""
 
     all: tuple[Outcome, ...]
     scenes: tuple[str, ...]
