@@ -62,7 +62,7 @@ class Lpips:
             return None
 
     @classmethod
-    def from_file(cls, path: Path, device: torch.device | str = "cpu") -> Lpips:
+    def from_file(cls, path: Path) -> Lpips:
         """Read the weights (names and shapes: see the module). RunError if the file is missing, is
         no safetensors file, or lacks a tensor of the right shape."""
         if not path.is_file():
@@ -72,7 +72,7 @@ class Lpips:
             )
         shapes = weight_shapes()
         try:
-            with safe_open(path, framework="pt", device=str(device)) as file:
+            with safe_open(path, framework="pt") as file:
                 weights = {
                     name: file.get_tensor(name).float() for name in set(file.keys()) & shapes.keys()
                 }

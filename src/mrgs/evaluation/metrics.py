@@ -171,7 +171,7 @@ def fill_invalid(image: Image, target: Image, valid: Mask | None) -> Image:
     return image if valid is None else image.where(valid[..., None], target)
 
 
-def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | None:
+def otsu_threshold(values: Float[np.ndarray, " n"]) -> float | None:
     """Otsu's threshold, which parts values into two classes.
 
     It maximises the between-class variance over the histogram (N. Otsu, "A threshold selection
@@ -181,7 +181,7 @@ def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | 
     low, high = float(values.min()), float(values.max())
     if not low < high:
         return None
-    counts, edges = np.histogram(values, bins=bins, range=(low, high))
+    counts, edges = np.histogram(values, bins=256, range=(low, high))
     centres = (edges[:-1] + edges[1:]) / 2
     below, total = np.cumsum(counts)[:-1], counts.sum()
     moment_below = np.cumsum(counts * centres)[:-1]
