@@ -332,7 +332,7 @@ def mean_image_model(
 ) -> dict[str, Tensor]:
     """The image model of a joined model: the mean over its blocks, weighted by their photos; a
     photo's drift only over those that have learned of it, weighted by how often, else the coarse
-    model's."""
+    one's."""
     found = {}
     for name, start in coarse.items():
         if start.dtype == torch.bool:  # blocks decide nothing of their own

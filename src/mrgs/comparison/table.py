@@ -129,8 +129,7 @@ def over_seeds(figures: Sequence[Figure]) -> Cell:
 
 
 def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cell:
-    """The mean over scenes of the seeds that have all of them, and its standard deviation over
-    seeds."""
+    """The mean over scenes of the seeds that have all of them, and its standard deviation."""
     per_seed = []
     for seed in zip(*scenes, strict=True):
         values = [figure for figure in seed if not isinstance(figure, Missing)]
@@ -359,8 +358,8 @@ def to_csv(table: Table) -> str:
 
 
 def to_plain(table: Table) -> str:
-    """The table for a terminal, scene below scene, without notes; * marks the best, + the second
-    best."""
+    """The table for a terminal, scene below scene, without notes; * marks the best, + the
+    second."""
     signs: dict[Mark, str] = {"best": "*", "second": "+", "": " "}
     lines = [table.caption]
     for part in _parts(table, 1):

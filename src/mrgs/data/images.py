@@ -39,8 +39,7 @@ MAX_PIXELS = 80_000_000
 
 FREE_PIXELS, PIXELS_PER_BYTE = 25_000_000, 40
 """Images larger than this with more pixels for each byte of their file are refused too: a photo has
-ten at most, a mask more, and a small file that unfolds to many pixels would take minutes and
-gigabytes."""
+ten at most, a mask more, and a small file that unfolds to many pixels would take minutes."""
 
 LIMIT_VARIABLE = "MRGS_MAX_MEGAPIXELS"
 """An environment variable that replaces these limits."""
@@ -55,8 +54,7 @@ DRAFT_SHARES = (8, 4, 2)
 
 DRAFT_MARGIN = 2
 """A photo that is to be made smaller is decoded with at least this multiple of its pixels across:
-made smaller from there or from all of its pixels, it differs by less than a level of 8 bits
-(RMS)."""
+made smaller from there or from all of its pixels, it differs by less than an 8-bit level (RMS)."""
 
 Kind = Literal["grey", "colour", "float"]
 """One channel of integers, three channels of integers, or one channel of numbers: a TIFF of floats,

@@ -307,8 +307,7 @@ def _temperature_figures(
     temperature: TemperatureRange | None,
     foreground: Foreground | None,
 ) -> Figures:
-    """MAE in °C over the full frame, the same after the photo's own offset, and over the
-    foreground."""
+    """MAE in °C over the frame, the same after the photo's own offset, and over the foreground."""
     if temperature is None:
         return all_missing(CELSIUS_FIGURES, NO_CELSIUS)
     compared, span_c = (image, photo.values, photo.valid), temperature.span_c
@@ -352,8 +351,7 @@ class Parts:
 
 def score_parts(run: Run, views: Sequence[View], truth: Truth | None = None) -> Parts | None:
     """Knock the parts out of a run's model, one at a time, and score what is left. None for a model
-    without the paper's field (3DGS_RGB-T). SceneError if an image or a truth file cannot be
-    read."""
+    without the paper's field (3DGS_RGB-T). SceneError if an image or truth cannot be read."""
     spreads = part_spreads(run.model, views[0].camera.position.float())
     if spreads is None:
         return None

@@ -38,8 +38,7 @@ MIN_SIDE_PX = 16
 
 
 class Lpips:
-    """The distance between two images; 0 for identical ones, around 0.1 to 0.5 for renderings of
-    photos."""
+    """The distance between two images; 0 for identical ones, about 0.1 to 0.5 for renderings."""
 
     def __init__(self, weights: dict[str, Tensor]) -> None:
         self._weights = weights

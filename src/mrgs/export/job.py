@@ -150,8 +150,7 @@ class ExportJob:
 
     @cached_property
     def splat_model(self) -> BakedModel:
-        """The model for files of splats: on marked surfaces their temperatures are corrected one by
-        one."""
+        """The model for files of splats: on marked surfaces their temperatures are corrected."""
         return self.baked if self.regions is None else self.regions.of_splats(self.baked)
 
     @cached_property

@@ -59,7 +59,7 @@ def write_combined_ply(
 
 
 def splat_columns(splats: SplatArrays) -> dict[str, np.ndarray]:
-    """The properties of 3DGS in its order; the normals are zero, the higher coefficients channel by
+    """The properties of 3DGS in its order; normals are zero, higher coefficients channel by
     channel."""
     columns: dict[str, np.ndarray] = {axis: splats.means[:, i] for i, axis in enumerate("xyz")}
     columns |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(len(splats), np.float32))

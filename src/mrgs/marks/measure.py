@@ -155,8 +155,8 @@ class MarkMeter:
         return known
 
     def measure(self, marks: Marks, regions: Regions | None = None) -> list[MarkReading]:
-        """Every mark, in their order, with the differences between them; ``regions`` are those of
-        these marks."""
+        """All marks in their order, with their differences; ``regions`` are those of these
+        marks."""
         if regions is None:
             regions = self.regions(marks)
         readings = [self.read(mark, regions) for mark in marks.marks]

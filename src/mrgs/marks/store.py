@@ -1,5 +1,4 @@
-"""``marks.json`` in a run's folder: written whole or not at all, read strictly, and undone step by
-step."""
+"""``marks.json`` in a run's folder: written whole or not at all, read strictly, undone by steps."""
 
 from __future__ import annotations
 
@@ -212,8 +211,8 @@ class MarkStore:
 
 
 def file_stamp(path: Path) -> tuple[int, ...] | None:
-    """Changes whenever a file does, also when it is replaced within a tick of the clock; None
-    without one."""
+    """Changes whenever a file does, also if it is replaced within a clock tick; None without
+    one."""
     try:
         status = path.stat()
     except OSError:

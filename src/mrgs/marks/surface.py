@@ -78,8 +78,7 @@ class SeenSurface:
 
 
 class PixelPlaces(NamedTuple):
-    """Pixels of an image at which points of the world appear; row and column are 0 outside of
-    it."""
+    """Pixels of an image at which points of the world appear; row and column are 0 outside."""
 
     rows: Int64[np.ndarray, " n"]
     columns: Int64[np.ndarray, " n"]

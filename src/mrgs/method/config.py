@@ -42,8 +42,7 @@ CPU_RATES = {
     "slowdown_from": 0.7,
     "slowdown_to": 0.05,
 }
-"""Learning rates for CPUs, whose schedules are too short for those of 3DGS (docs/decisions,
-040)."""
+"""Learning rates for CPUs, whose schedules are too short for 3DGS's (docs/decisions, 040)."""
 
 SMOOTHNESS = {
     "smooth_rgb": 0.0,
@@ -157,8 +156,7 @@ class TrainConfig:
         return Dilation(self.dilation_px2, finest)
 
     def radiance_of(self, capture: Capture) -> BandRadiance | None:
-        """The radiance as which a model of these photos blends temperatures; None to blend them as
-        they are."""
+        """The radiance as which a model blends temperatures; None to blend them as they are."""
         return capture.radiance if self.image_model.radiance else None
 
     def pixel_size_at(self, step: int) -> int:

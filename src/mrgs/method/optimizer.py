@@ -77,7 +77,7 @@ class OptimizerConfig:
         return math.exp((1 - progress) * start + progress * end)
 
     def slowdown_at(self, progress: float) -> float:
-        """Factor on all learning rates but the means' after this share of the training; falls
+        """Factor on all rates but the means' after this share of the training; falls
         log-linearly."""
         if progress <= self.slowdown_from:
             return 1.0

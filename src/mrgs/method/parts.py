@@ -83,8 +83,7 @@ class _NoHeatTransformation(FourierHeatTransformation):
 def knock_outs(model: Model) -> Mapping[str, Model]:
     """A trained model with one part knocked out in each copy; none for a field without residuals:
     ``temperature_residual``: t̂ is its mean; ``heat_exchange``: F' = F; ``shuffled_neighbours``:
-    each Gaussian has another one's; ``color_residual``: ĉ = 0. A part whose removal costs nothing
-    is unused."""
+    each Gaussian has another one's; ``color_residual``: ĉ = 0. A part without effect is unused."""
     field = model.field
     if not field.config.residuals:
         return {}

@@ -115,8 +115,7 @@ class Raster(NamedTuple):
 
 
 LEAST_DILATION_PX2 = 0.01
-"""Least dilation: with less, the edges of needles would show the 1/256 px to which WebGL rounds
-places."""
+"""Least dilation: with less, edges of needles would show the 1/256 px to which WebGL rounds."""
 
 
 @dataclass(frozen=True)

@@ -128,8 +128,8 @@ class Camera:
         return f"Camera({self.width}×{self.height}, {fov:.0f}° wide, at {x:.3g}, {y:.3g}, {z:.3g})"
 
     def tensors(self, device: torch.device, dtype: torch.dtype = torch.float64) -> CameraTensors:
-        """The camera on a device; kept, because to copy it for every image would make the host wait
-        for a GPU."""
+        """The camera on a device; kept, because copies for every image make the host wait for a
+        GPU."""
         if (device, dtype) not in self._tensors:
             own = self.K, self.viewmat, self.position
             copies = (tensor.to(device, dtype, copy=True) for tensor in own)
@@ -242,8 +242,7 @@ class Camera:
         return MovedCamera(self, motion)
 
     def coincides_with(self, other: Camera) -> bool:
-        """Whether both cameras see the same rays on the same pixel grid, so that one pass can serve
-        both."""
+        """Whether both cameras see the same rays on the same grid, so that one pass serves both."""
         return (
             (self.width, self.height) == (other.width, other.height)
             and torch.equal(self.K, other.K)

@@ -57,8 +57,8 @@ class Modality:
 
     @property
     def is_metric(self) -> bool:
-        """Whether the values measure one quantity in a unit; if not, they are intensities, shown as
-        they are."""
+        """Whether the values measure a quantity in a unit; else they are intensities, shown as
+        such."""
         return self.unit is not None and self.channels == 1
 
     @property

@@ -377,8 +377,8 @@ def _posed(
 
 
 def _load(image: Tensor, temperature: TemperatureRange | None, lens: Lens | None) -> Pixels:
-    """Colours, or °C with a scale; valid are pixels that the lens sees and that are finite in all
-    channels."""
+    """Colours, or °C with a scale; valid are pixels that the lens sees and whose channels are
+    finite."""
     if temperature is None:
         values = _as_shares(image)
     else:

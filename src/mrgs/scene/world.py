@@ -1,5 +1,5 @@
-"""The world of a scene: its frame, its bounds, behind which photos show the background, and
-boxes in it."""
+"""The world of a scene: its frame, its bounds, beyond which there is background, and boxes in
+it."""
 
 from __future__ import annotations
 

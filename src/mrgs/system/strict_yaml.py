@@ -1,4 +1,4 @@
-"""Dataclasses as YAML and back, strictly: a misspelt field must not be ignored; and ranges of their
+"""Dataclasses as YAML and back, strictly: no misspelt field is ignored; and ranges of their
 values."""
 
 from __future__ import annotations

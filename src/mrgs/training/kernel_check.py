@@ -144,8 +144,7 @@ def _check_optimizer(device: torch.device, generator: torch.Generator) -> None:
 def check_rendering(model: Model, image_model: ImageModel, *devices: torch.device) -> None:
     """Render a sample of a trained model by a new camera, on the devices where it will be rendered,
     and compare each kernel with its plain definition. A MrgsWarning if one differs, which is not
-    used any more in this process (``operation.checking``). The image model is in the host's
-    memory."""
+    used any more in this process (``operation.checking``). The image model is on the host."""
     if len(model.gaussians) == 0:
         return
     sample = _sampled(model, None, model.sh_degree)

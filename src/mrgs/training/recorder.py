@@ -92,8 +92,7 @@ class Recorder:
         return recording.replay(self._parameters)
 
     def counted(self, finite: Bool[Tensor, ""]) -> Bool[Tensor, ""]:
-        """Whether a step counts: it is finite, and the lists of its pass had room; on the
-        device."""
+        """Whether a step is finite, and the lists of its pass had room; on the device."""
         return finite if self._replayed is None else finite & self._replayed.suffices
 
     def had_room(self) -> bool:

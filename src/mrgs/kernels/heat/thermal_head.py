@@ -66,8 +66,7 @@ def project_features(
 
 
 class _Inputs(NamedTuple):
-    """Arrays of all Gaussians (or their gradients): e_m, the 3 and the other 45 colour
-    coefficients."""
+    """Arrays of all Gaussians (or gradients): e_m, the 3 and the other 45 colour coefficients."""
 
     embedding: np.ndarray
     sh_dc: np.ndarray

@@ -141,7 +141,7 @@ class ImageModel(nn.Module):
         camera: Camera,
         pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
     ) -> Rendering:
-        """The rendering of any camera as it is expected to record it, a ``CameraResponse``; no
+        """The rendering of any camera as it should record it, a ``CameraResponse``; no
         gradients."""
         viewpoint = self._as_given(Viewpoint.of(camera, self._extent))
         return self._recorded(rendering, lambda effect: effect.expected(viewpoint), pixel_sizes)

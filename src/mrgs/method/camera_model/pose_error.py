@@ -17,15 +17,13 @@ from mrgs.scene import Camera, Modality, Pixels, Rendering
 COARSEST = 1 / 80
 """Both images are first smoothed by Gaussians of this share of the width, then by half of that, and
 so on down to a pixel: errors that are larger than the details of an image are found in the coarser
-ones. This is also the expected size of a motion; where photos give no evidence, the estimate is
-smaller."""
+ones. This is also the expected size of a motion; without evidence, the estimate is smaller."""
 
 ROUNDS = 3
 """Steps of Gauss–Newton with each width."""
 
 OUTLYING = 2.0
-"""Standard deviations above which differences hardly count; they are not due to the camera's
-motion."""
+"""Standard deviations above which differences hardly count: they are not the camera's motion."""
 
 LEAST_DEVIATION = 2e-3
 """Standard deviation of what differs where the images are even, as a share of their range."""
@@ -38,8 +36,7 @@ WRONG_PX = 0.3
 
 WELL_SEEN = 4
 """Number of the six axes of a motion that show whether poses are wrong: those along which a view
-shows most. Along the others, parts of an unfinished model at a wrong depth look like a wrong
-pose."""
+shows most. Along the others, unfinished parts at a wrong depth look like a wrong pose."""
 
 UNCLEAR = 2.0
 """Ratio above which halves that differ give no evidence."""
@@ -145,8 +142,7 @@ class PoseAgreement(NamedTuple):
     @property
     def is_wrong(self) -> bool:
         """Whether the poses are wrong: by what the halves agree on beyond what they differ by. A
-        model that is not right differs from each half in another way, a wrong pose from both
-        alike."""
+        model that is not right differs from each half otherwise, a wrong pose from both alike."""
         return self.agreed_px**2 - self.apart_px**2 > WRONG_PX**2
 
     @property

@@ -124,8 +124,7 @@ def of_one_camera(
 def _candidates(
     photos: Sequence[Photo], cameras: Mapping[str, Sequence[Photo]]
 ) -> dict[Photo, list[str]]:
-    """The cameras of which each photo may be: its own, or if it names none, those with photos of
-    its size."""
+    """The cameras that each photo may be of: its own, or if it names none, those with its size."""
     known = {photo: [name] for name, own in cameras.items() for photo in own}
     sizes = {name: {photo.size for photo in own} - {None} for name, own in cameras.items()}
     return {
