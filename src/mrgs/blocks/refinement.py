@@ -40,7 +40,7 @@ WIDEST = 1 / 3
 of their overlap: no block may move a wider one, see ``EXTENT``."""
 
 SEAM_WIDTH = 1 / 3
-"""Half width of the strip along an edge that is refined after joining, in overlaps of blocks."""
+"""Half width of the strip along an edge refined after joining, as a share of blocks' overlap."""
 
 SEAM_EXTENT = 1.0
 """Assumed radius of a Gaussian in a seam, in its largest standard deviations: smaller, so that wide

@@ -331,8 +331,7 @@ def mean_image_model(
     coarse: Mapping[str, Tensor], blocks: Sequence[Mapping[str, Tensor]], photos: Sequence[int]
 ) -> dict[str, Tensor]:
     """The image model of a joined model: the mean over its blocks, weighted by their photos; a
-    photo's drift only over those that have learned of it, weighted by how often, else the coarse
-    one's."""
+    photo's drift only over those that have learned of it, by how often, else the coarse one's."""
     found = {}
     for name, start in coarse.items():
         if start.dtype == torch.bool:  # blocks decide nothing of their own

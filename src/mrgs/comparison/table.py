@@ -129,7 +129,7 @@ def over_seeds(figures: Sequence[Figure]) -> Cell:
 
 
 def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cell:
-    """The mean over scenes of the seeds that have all of them, and its standard deviation."""
+    """Mean over scenes of seeds that have all of them, and its standard deviation over seeds."""
     per_seed = []
     for seed in zip(*scenes, strict=True):
         values = [figure for figure in seed if not isinstance(figure, Missing)]
@@ -358,8 +358,7 @@ def to_csv(table: Table) -> str:
 
 
 def to_plain(table: Table) -> str:
-    """The table for a terminal, scene below scene, without notes; * marks the best, + the
-    second."""
+    """The table for a terminal, scene by scene, without notes; * marks the best, + the second."""
     signs: dict[Mark, str] = {"best": "*", "second": "+", "": " "}
     lines = [table.caption]
     for part in _parts(table, 1):

@@ -73,8 +73,7 @@ def lens_from_json(
         )
 
     def focal(axis: str, pixels: float) -> float | None:
-        """Focal length, px, from ``fl_x``, or ``x_fov`` (degrees) or ``camera_angle_x``
-        (radians)."""
+        """Focal length, px, from ``fl_x``, ``x_fov`` (degrees) or ``camera_angle_x`` (radians)."""
         angle = number(f"camera_angle_{axis}", math.radians(number(f"{axis}_fov", 0.0)))
         if values.get(f"fl_{axis}") is not None:
             return number(f"fl_{axis}")

@@ -115,8 +115,7 @@ def psnr_matched(image: Image, target: Image, valid: Mask | None = None) -> Figu
 def mean_absolute_error(
     image: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"], valid: Mask | None = None
 ) -> float:
-    """Mean of |image − target| over the valid pixels, in the unit of the input; NaN if none is
-    valid."""
+    """Mean of |image − target| over the valid pixels, in the input's unit; NaN if none is valid."""
     return (_select(image, valid).double() - _select(target, valid).double()).abs().mean().item()
 
 

@@ -55,8 +55,7 @@ CELSIUS_FOLDER = "temperature_c"
 @dataclass(frozen=True)
 class Renders:
     """The image files of one folder: of each modality that it has, by view name, where the name of
-    a file's folder determines how it is read; and depths of the thermal camera, if any, by view
-    name."""
+    a file's folder determines how it is read; and thermal depths, if any, by view name."""
 
     images: Mapping[Modality, Mapping[str, Path]]
     depths: Mapping[str, Path]

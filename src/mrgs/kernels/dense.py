@@ -243,7 +243,7 @@ def totals(sums: Sequence[Sums], weights: Sequence[Tensor]) -> list[Tensor]:
 
 
 def slots(rows: int, keep: bool) -> int:
-    """Blocks of activations that a pass needs: all to keep them for the backward, else one a
+    """Blocks of activations that a pass needs: all to keep for the backward pass, else one a
     share."""
     return -(-rows // BLOCK_ROWS) if keep else SHARES
 

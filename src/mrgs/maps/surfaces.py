@@ -406,8 +406,7 @@ class ShownPlaces:
 
     def depth_of_part(self, part: tuple[slice, slice], camera: Camera, depth: Plane) -> Plane:
         """The depth that the camera of a part (rows and columns) of the map sees, where a photo
-        shows that surface; elsewhere that of the photos' own surfaces, NaN where they have none,
-        [H, W]."""
+        shows that surface; elsewhere that of the photos' own surfaces, else NaN, [H, W]."""
         points = unprojected(camera, depth).astype(np.float32)
         near = [
             (item, window)

@@ -155,8 +155,7 @@ class MarkMeter:
         return known
 
     def measure(self, marks: Marks, regions: Regions | None = None) -> list[MarkReading]:
-        """All marks in their order, with their differences; ``regions`` are those of these
-        marks."""
+        """All marks in their order, with differences; ``regions`` are those of these marks."""
         if regions is None:
             regions = self.regions(marks)
         readings = [self.read(mark, regions) for mark in marks.marks]

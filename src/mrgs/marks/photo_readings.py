@@ -132,8 +132,7 @@ class SightingSums:
         values: Float32[np.ndarray, "m c"],
         z: Float32[np.ndarray, " m"],
     ) -> None:
-        """Add the channels of a photo at places, each once, with their z-depths; NaN does not
-        count."""
+        """Add a photo's channels at places, each once, with their z-depths; NaN does not count."""
         known = np.isfinite(values).all(axis=1)
         rows, values, weights = rows[known], values[known], z[known] ** -2.0
         self.photos[rows] += 1
@@ -205,8 +204,7 @@ class PhotoReadings:
         self._maps: dict[int, DepthMap] = {}
 
     def __getitem__(self, index: int) -> DepthMap:
-        """Depth and channels of one photo; NaN where it is masked. SceneError if it cannot be
-        read."""
+        """Depth and channels of a photo; NaN where masked. SceneError if it cannot be read."""
         if index not in self._maps:
             self._maps[index] = self._witness(self._views[index])
         return self._maps[index]

@@ -92,8 +92,7 @@ class _Photo:
 class _Patch(NamedTuple):
     """A square of a surface: its samples in the world with weights; how far parameters of 1 move
     them along the normal (until the plane is twice as far from the eye, and two slopes about the
-    middle); and the change of the parameters that moves the photos' images by about a third of a
-    pixel."""
+    middle); and the change of the parameters that moves the images by about a third of a pixel."""
 
     points: Float[np.ndarray, "s 3"]
     weights: Float[np.ndarray, " s"]

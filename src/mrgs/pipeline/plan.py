@@ -292,8 +292,7 @@ class Monitor:
 
     def progress(self, part: str, done: int, total: int, left_s: float | None) -> None:
         """Called while the photos are inspected, and while a stage runs: the finished items of a
-        part, all of its items, 0 if not known, and the seconds until the stage is finished, None if
-        not known."""
+        part, all of its items, 0 if not known, and the stage's seconds left, None if not known."""
 
     def prepared(self, report: StageReport) -> None:
         """Called with the result of each part of the first stage."""

@@ -18,7 +18,7 @@ from mrgs.system.typed_json import Finite
 
 
 class Atmosphere(NamedTuple):
-    """Constants of the transmission of air, as FLIR's cameras store them; ``x`` weighs
+    """Constants of the transmission of air, as FLIR's cameras store them; ``x`` weighs the two
     exponentials."""
 
     alpha1: float

@@ -128,8 +128,7 @@ class Camera:
         return f"Camera({self.width}×{self.height}, {fov:.0f}° wide, at {x:.3g}, {y:.3g}, {z:.3g})"
 
     def tensors(self, device: torch.device, dtype: torch.dtype = torch.float64) -> CameraTensors:
-        """The camera on a device; kept, because copies for every image make the host wait for a
-        GPU."""
+        """The camera on a device; kept, because a copy for each image makes the host wait."""
         if (device, dtype) not in self._tensors:
             own = self.K, self.viewmat, self.position
             copies = (tensor.to(device, dtype, copy=True) for tensor in own)

@@ -39,8 +39,7 @@ _EDGE_SAMPLES = 128
 _BORDER_TOLERANCE_PX = 0.02
 _ROWS_AT_ONCE = 256
 _MIN_KEPT = 0.25
-"""Least share of the lens's image (as if undistorted) that the pinhole's spans in each
-direction."""
+"""Least share of the (undistorted) lens's image that the pinhole's spans in each direction."""
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,7 @@ class Modality:
 
     @property
     def is_metric(self) -> bool:
-        """Whether the values measure a quantity in a unit; else they are intensities, shown as
-        such."""
+        """Whether the values measure a quantity in a unit; else they are shown as intensities."""
         return self.unit is not None and self.channels == 1
 
     @property

@@ -377,8 +377,7 @@ def _posed(
 
 
 def _load(image: Tensor, temperature: TemperatureRange | None, lens: Lens | None) -> Pixels:
-    """Colours, or °C with a scale; valid are pixels that the lens sees and whose channels are
-    finite."""
+    """Colours, or °C with a scale; valid are pixels in the lens's view with finite channels."""
     if temperature is None:
         values = _as_shares(image)
     else:

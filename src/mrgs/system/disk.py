@@ -52,8 +52,8 @@ def free_disk(folder: Path) -> int:
 
 def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
     """Compare the room on the disk of a folder, which need not exist yet, with an estimate for
-    ``what``, the subject of the sentence; a MrgsWarning if there is less, as the estimate may be
-    high."""
+    ``what``, the subject of the sentence; a MrgsWarning if there is less, no error, as the estimate
+    may be high."""
     free = free_disk(folder)
     if free < needed_bytes:
         warn_user(

@@ -157,8 +157,8 @@ def morton_order(means: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
 
 
 def smallest_three(quats: Float32[np.ndarray, "n 4"]) -> UInt32[np.ndarray, " n"]:
-    """Unit quaternions wxyz in 32 bits: the index of the largest component, then the others, 10
-    bits each."""
+    """Unit quaternions wxyz in 32 bits: the index of the largest component on top, then the others,
+    10 bits each."""
     quats = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     largest = np.abs(quats).argmax(axis=1)
     sign = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -1.0, 1.0)

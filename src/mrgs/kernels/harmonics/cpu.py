@@ -168,8 +168,8 @@ def add_direction_gradient(x, y, z, inverse, grad, grad_means, row):
 
 @reordering_inner_function
 def _set_basis(x, y, z, bands, basis):
-    """The 15 basis functions of degrees 1 to 3, as in ``spherical_harmonics``; the first ``bands``
-    are set."""
+    """The 15 basis functions of degrees 1 to 3, as in ``spherical_harmonics``; only ``bands`` of
+    them are set."""
     xx, yy, zz = x * x, y * y, z * z
     if bands >= 3:
         basis[0], basis[1], basis[2] = -_C1 * y, _C1 * z, -_C1 * x

@@ -62,6 +62,12 @@ class Alignable(NamedTuple):
     rendering: Float[Tensor, "h w c"]
     depth: Float[Tensor, "h w"]
 
+    @property
+    def seen(self) -> Bool[Tensor, "h w"]:
+        """Which pixels show a surface and count."""
+        seen = self.depth.isfinite()
+        return seen if self.valid is None else seen & self.valid
+
 
 def alignables(
     cameras: Mapping[Modality, Camera],
@@ -197,10 +203,7 @@ def _places(
     step = 1
     while height * width > MOST_PIXELS * step**2:
         step += 1
-    counts = image.depth.isfinite()
-    if image.valid is not None:
-        counts = counts & image.valid
-    row, column = counts[::step, ::step].nonzero().mul(step).unbind(1)
+    row, column = image.seen[::step, ::step].nonzero().mul(step).unbind(1)
     centres = torch.stack([column, row], dim=1).double() + 0.5
     points = image.camera.unproject(centres, image.depth[row, column].double())
     shifts = shift_per_motion(image.camera, points, centre) @ axes_px

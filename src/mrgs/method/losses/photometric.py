@@ -174,7 +174,7 @@ def total_loss(
 ) -> Float[Tensor, ""]:
     """Eq. 20 (final_loss), Sec. Total Loss: L_c + L_t + λ_smooth L_smooth + λ_boltz L_boltz, of the
     terms that a view and a method have. KeyError for a term without a weight, ValueError for no
-    term."""
+    term at all."""
     if not terms:
         raise ValueError("a loss needs at least one term")
     return torch.stack([weights[name] * term for name, term in terms.items()]).sum()

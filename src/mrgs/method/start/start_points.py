@@ -50,8 +50,8 @@ of what is opaque behind them, and surfaces stay full of holes (docs/decisions, 
 
 DISTANT_SIZE = 2.0
 """Largest standard deviation of a distant point at the start, in spacings: one or two of them
-behind a small hole have the scene's points as neighbours, and would start as a blob up to the
-scene."""
+behind a small hole have the scene's points as neighbours, and would start as a blob that reaches up
+to the scene."""
 
 
 class StartPoints(NamedTuple):

@@ -42,14 +42,12 @@ _LETTERS = {"t": THERMAL, **dict.fromkeys("wvzs", RGB)}
 """The last letter of DJI's names: thermal, wide, visible, zoom, screenshot."""
 
 PARTNER_MARKS = ("w", "wide", "v", "vis", "visible", "rgb", "", "z", "zoom")
-"""Camera suffixes by preference among RGB photos of one moment: wide ones cover the thermal
-image."""
+"""Camera suffixes by preference among RGB photos of a moment: wide ones cover the thermal image."""
 
 _LAST_LETTER = re.compile(
     r"(?:(?<=\d)[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE
 )
-"""After a number any of these letters; after a word only the T: ``house_w`` may be the west
-side."""
+"""After a number any of these letters, after a word only T: ``house_w`` may be the west side."""
 
 _LAST_R = re.compile(r"(?:(?<=\d)[_\-]r|[_\-]rad)$", re.IGNORECASE)
 _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?", re.IGNORECASE)

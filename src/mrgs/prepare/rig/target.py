@@ -264,8 +264,7 @@ def _stationary_board(
 
 def _from_two(first: _BoardPose, second: Sequence[_BoardPose]) -> _Board | None:
     """The board that two photos see at one place; None if they do not. Their distances from it, in
-    squares, follow from its perspective; the width of a square is the one for which both give the
-    same place."""
+    squares, follow from its perspective; the width of a square is that for which both agree."""
     own = first.in_world
     likeness = [float(np.trace(own[:, :3].T @ pose.in_world[:, :3])) for pose in second]
     if max(likeness) < 1 + 2 * np.cos(_TURNED_RAD):
