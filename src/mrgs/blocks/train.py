@@ -65,7 +65,6 @@ class BlockTraining:
         folder: of the joined run; blocks are below it.
         config: of the whole; steps and largest number of Gaussians are those of each block.
         options: how it is cut.
-        device: where it is trained.
         plain: run the plain definitions of all operations.
         say: takes lines for the user.
     """

@@ -1,5 +1,4 @@
-"""Lenses and poses that files describe: their checks, and from the files' conventions to OpenCV's
-world to camera."""
+"""Lenses and poses that files describe: their checks, and their conversion to OpenCV's axes."""
 
 from __future__ import annotations
 

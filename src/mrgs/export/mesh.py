@@ -34,8 +34,7 @@ MIN_VIEWS = 2
 """A sample that fewer cameras saw is not known."""
 
 BOUNDS_PERCENTILE = 2.0
-"""The box contains the points between this percentile and its counterpart on each axis: far
-background is left out."""
+"""On each axis, points beyond this percentile and its counterpart, far background, are left out."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -340,8 +340,7 @@ class Coverage:
 
 
 TIMES_MEDIAN = 2.5
-"""The map shows surfaces within this multiple of the photos' median distance: pixels of what is
-farther are too coarse."""
+"""The map shows surfaces within this multiple of the photos' median distance: others are coarse."""
 
 CELL_PX = 4
 """Side of the cells in which photos are counted, in pixels of the survey at the median distance."""

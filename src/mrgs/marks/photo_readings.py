@@ -26,8 +26,7 @@ COVERAGE = 2.0
 """Times the standard uncertainty: an interval that contains the truth in 95 of 100 cases."""
 
 OF_ONE_VALUE = COVERAGE / 12**0.5
-"""Half the width of the interval for 95 of 100 cases, in steps: errors within a step are equally
-likely (GUM F.2.2.1)."""
+"""Half the interval for 95 %, in steps: errors within a step are equally likely (GUM F.2.2.1)."""
 
 BLOCK_PX = 8
 _TERMS = 50
@@ -115,8 +114,7 @@ class PhotoParts(NamedTuple):
 
 class SightingSums:
     """What photos show of places, gathered photo by photo with weights 1 / z², as temperatures are.
-    ``rounding`` is half the width of the interval that the rounding of the photos' values leaves,
-    in their unit."""
+    ``rounding`` is half the interval left by the rounding of the photos' values, in their unit."""
 
     def __init__(self, places: int, rounding: float = 0.0) -> None:
         self._rounding = rounding

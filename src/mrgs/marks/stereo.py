@@ -58,8 +58,7 @@ FARTHEST = 0.05
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
-    """A photo with values from 0 to 1, and its camera as projection from homogeneous world
-    coordinates to pixels."""
+    """A photo with values from 0 to 1, and its camera as projection from the world to pixels."""
 
     projection: Float[np.ndarray, "3 4"]
     image: Float[np.ndarray, "h w c"]

@@ -68,8 +68,7 @@ noise counts by its squares (docs/decisions, 049)."""
 
 PLUS_DILATION_PX2 = 0.1
 """Dilation of ``mrgs-plus``: about the variance of a square pixel, 1/12 px². With 0.3 a rendering
-is blurrier than what a pixel averages, and training makes up for it by Gaussians that are too thin
-(docs/decisions, 050)."""
+is blurrier than what a pixel averages, and Gaussians become too thin (docs/decisions, 050)."""
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from mrgs.system.typed_json import Finite
 
 
 class Atmosphere(NamedTuple):
-    """Constants of the transmission of air, as FLIR's cameras store them; ``x`` weighs the two
-    exponentials."""
+    """Constants of air's transmission, as in FLIR's files; ``x`` weighs the two exponentials."""
 
     alpha1: float
     alpha2: float
@@ -66,8 +65,7 @@ class AirPath(NamedTuple):
 
     Attributes:
         decay1, decay2: of τ(D) = x exp(−decay1 √D) + (1 − x) exp(−decay2 √D), 1 / √m.
-        noted: τ(d).
-        added: A.
+        noted, added: τ(d) and A.
         farthest: distance, m, beyond which there is only background, the sky for instance, of which
             a photo says what reaches the camera through all of the air.
     """

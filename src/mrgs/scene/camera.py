@@ -22,13 +22,11 @@ from mrgs.scene.rotations import (
 )
 
 MIN_DEPTH = 1e-6
-"""Scene units; a point nearer to the plane through the camera's centre may lie on either side of
-it, by rounding."""
+"""Scene units; a point nearer to the camera's plane may be on either side of it, by rounding."""
 
 
 class CameraTensors(NamedTuple):
-    """A camera's numbers where they are computed with: K [3, 3], viewmat [4, 4] and position [3],
-    see ``Camera``."""
+    """A camera's numbers on a device: K [3, 3], viewmat [4, 4] and position [3], see ``Camera``."""
 
     K: Float[Tensor, "3 3"]
     viewmat: Float[Tensor, "4 4"]

@@ -68,8 +68,7 @@ def neighbours_kernel(
         boxes: bounds of each block of points, the three lower, then the three upper, [6, M].
         result: receives the neighbours' indices, int64, [N, K]; the point's own where there are
             fewer others.
-        count: N.
-        blocks: M.
+        count, blocks: N and M.
     """
     own = tl.program_id(0)
     queries = own * BLOCK + tl.arange(0, BLOCK)

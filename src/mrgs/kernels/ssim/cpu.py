@@ -28,8 +28,7 @@ BLOCK = 512
 """Values of a row that are worked on at once, so that they stay in the fastest cache."""
 
 MEAN_X, SQUARES, PRODUCT, MEAN_Y, ERROR = range(0, 5 * BLOCK, BLOCK)
-"""Offsets in a block: of μ_x, S, P and μ_y, later replaced by the derivatives with respect to them,
-and of 1 − SSIM."""
+"""Offsets in a block: of μ_x, S, P and μ_y, later of the derivatives by these, and of 1 − SSIM."""
 
 
 class ImagePair(NamedTuple):

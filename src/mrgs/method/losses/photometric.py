@@ -21,8 +21,7 @@ HALF_COVERED = 0.5
 SMALLEST_DEPTH = 1e-6
 
 SMOOTH_PER_NOISE = 31.25
-"""Weight of the temperatures' smoothness for each unit of the thermal photos' noise
-(docs/decisions, 049)."""
+"""Weight of the temperatures' smoothness per unit of thermal noise (docs/decisions, 049)."""
 
 LEAST_CONTRAST = 50
 """Contrast, in standard deviations of the noise, from which on temperatures are multiplied no

@@ -225,8 +225,7 @@ def _fitted(
     seen: _Sightings, priors: Float[np.ndarray, " c"], minutes: Float[np.ndarray, " p"]
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c c"]]:
     """Offsets of P photos and the coefficients of the shading, °C, with their covariance, by least
-    squares with Geman and McClure's weights; each point's own temperature is eliminated as its
-    weighted mean."""
+    squares with Geman and McClure's weights; each point's temperature is eliminated as its mean."""
     photos, n, p = len(minutes), len(seen.value), 1 + seen.point.max(initial=-1)
     order = np.argsort(minutes)[: np.isfinite(minutes).sum()]
     one, next_one = order[:-1], order[1:]

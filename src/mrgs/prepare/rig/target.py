@@ -136,8 +136,7 @@ def find_target(
     report: Progress,
 ) -> LocatedTarget:
     """Detect a target in all pairs and locate its corners. SceneError if no pair shows it in both
-    images, its distance is ambiguous, or an image cannot be read. Photos and thermal images have
-    the same side up."""
+    images, its distance is ambiguous, or an image cannot be read. Both have the same side up."""
     found, in_thermal = [], 0
     for index, pair in enumerate(pairs):
         report("looking for the target", index, len(pairs))

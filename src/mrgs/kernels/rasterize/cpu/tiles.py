@@ -18,8 +18,7 @@ from mrgs.rasterizer import splat
 TILE_WIDTH = 8
 TILE_HEIGHT = 16
 CHUNKS = 16
-"""Parts of the order that are counted and filled in parallel; a constant, so that it does not
-follow the thread count."""
+"""Parts of the order that are counted and filled in parallel, whatever the number of threads."""
 
 PREFETCH_AHEAD = 4
 """Records come in an unforeseeable order: each is prefetched this many turns before it is read."""
