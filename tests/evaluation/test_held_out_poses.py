@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mrgs.evaluation.score_run import (
+from mrgs.evaluation.held_out_poses import (
     MOST_VIEWS,
     aligned_view,
     held_out_error,

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,8 +10,9 @@ import pytest
 import torch
 from PIL import Image
 
+from mrgs.data.images import read_float_tiff
 from mrgs.errors import SceneError
-from mrgs.evaluation.evaluate import Truth, read_float_tiff
+from mrgs.evaluation.evaluate import Truth
 from mrgs.evaluation.metrics import Figures, Missing
 from mrgs.pictures.files import write_float_tiff
 from mrgs.scene import Pixels, TemperatureRange
@@ -94,19 +96,35 @@ def test_a_name_that_leaves_the_scene(tmp_path: Path) -> None:
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "v.tiff"
     path.write_bytes(b"II*\0 not a tiff")
-    with pytest.raises(SceneError, match=r"v\.tiff: .*readable"):
+    with pytest.raises(SceneError, match=r"v\.tiff: .*decoded"):
         read_float_tiff(path)
 
 
 def test_a_truncated_file_is_named(tmp_path: Path) -> None:
     path = write(tmp_path, "depth", np.ones((40, 40)))
     path.write_bytes(path.read_bytes()[:-2000])
-    with pytest.raises(SceneError, match=r"v\.tiff: .*readable"):
+    with pytest.raises(SceneError, match=r"v\.tiff: .*decoded"):
+        read_float_tiff(path)
+
+
+def test_a_damaged_byte_of_the_tags_is_read_or_named(tmp_path: Path) -> None:
+    path = write(tmp_path, "depth", np.ones((8, 8)))
+    content = path.read_bytes()
+    for place in range(len(content)):
+        path.write_bytes(content[:place] + b"\2" + content[place + 1 :])
+        with suppress(SceneError):  # Pillow raises TypeError for some
+            read_float_tiff(path)
+
+
+def test_another_format_with_float_pixels_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "v.tiff"
+    Image.fromarray(np.ones((4, 4), np.float32)).save(path, format="PPM")  # a PFM file
+    with pytest.raises(SceneError, match=r"v\.tiff: .*decoded"):
         read_float_tiff(path)
 
 
 def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
     path = tmp_path / "v.tiff"
     Image.new("L", (4, 4)).save(path)
-    with pytest.raises(SceneError, match=r"float32 .*mode is L"):
+    with pytest.raises(SceneError, match=r"float32 .*mode L"):
         read_float_tiff(path)

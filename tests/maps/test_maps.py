@@ -212,7 +212,7 @@ def test_without_gps_coordinates_are_the_scene_s(tmp_path, front, few_photos):
     [
         ({"world": WorldFrame()}, {}, "no scale"),
         ({"temperature": None}, {}, "no temperatures"),
-        ({"world": WorldFrame(metric=True)}, {"crs": "EPSG:25832"}, "no place"),
+        ({"world": WorldFrame(metric=True)}, {"crs": "EPSG:25832"}, "not georeferenced"),
         ({}, {"crs": "EPSG:99999"}, "unknown"),
         ({}, {"crs": "EPSG:4326"}, "projected"),
         ({}, {"crs": "EPSG:2263"}, "projected"),

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from mrgs import Run, RunMarks, load_run, make_config, open_marks
+from mrgs.data.images import read_float_tiff
 from mrgs.errors import ConfigError, RunError
-from mrgs.evaluation.evaluate import read_float_tiff
 from mrgs.scene import THERMAL, View
 from tests.helpers.runs import SMALL, trained_run
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from PIL import Image
 
+from mrgs.data.images import read_float_tiff
 from mrgs.errors import RunError
-from mrgs.evaluation.evaluate import read_float_tiff
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import (
     to_rgb8,

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from mrgs import Run, load_run, load_scene, make_config
-from mrgs.evaluation.evaluate import read_float_tiff
+from mrgs.data.images import read_float_tiff
 from mrgs.scene import THERMAL
 from tests.helpers.runs import SMALL, trained_run
 

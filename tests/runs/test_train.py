@@ -116,7 +116,7 @@ def test_a_run_from_arrays_is_opened_with_its_scene(small_scene, tmp_path):
         load_run(tmp_path / "run").load_scene()
     assert load_run(tmp_path / "run", scene).load_scene() is scene
     other = Scene.from_arrays(scene.train_cameras[:1], rgb=np.zeros((1, 30, 40, 3)))
-    with pytest.raises(RunError, match=r"1 training views .* not the 4"):
+    with pytest.raises(RunError, match=r"1 training views of 1 images, not 4 of 8"):
         load_run(tmp_path / "run", other).load_scene()
 
 

@@ -38,17 +38,17 @@ FORMATS_HELP = "all, or one of: " + "; ".join(
 )
 
 DeviceName = Literal["auto", "cpu", "cuda"]
-"""As in ``mrgs.system.gpu``, which loads torch."""
+"""The names in ``mrgs.system.gpu``, which loads torch."""
 
 RenderDevice = Annotated[
     DeviceName, tyro.conf.arg(help="Device to render on; auto uses a usable GPU, else the CPU.")
 ]
 
 QualityName = Literal["fast", "default", "best"]
-"""As in ``mrgs.pipeline.quality``, which loads torch."""
+"""The names in ``mrgs.pipeline.plan``, which loads torch."""
 
 PaletteChoice = Literal["inferno", "iron", "grey", "black-hot", "rainbow", "arctic", "lava"]
-"""As in ``mrgs.pictures.page_data``, which loads torch; grey is white-hot."""
+"""The names in ``mrgs.pictures.page_data``, which loads torch; grey is white-hot."""
 
 T = TypeVar("T")
 
@@ -253,7 +253,7 @@ class Train:
     tensorboard: bool = False
     """Also write the log to RUN/tensorboard. Needs mrgs[tensorboard]."""
     eval_steps: Maybe[int] = None
-    """Score the held-out views every so many steps, into the log; pictures with --tensorboard."""
+    """Score the held-out views every N steps, into the log; pictures with --tensorboard."""
     view: bool = False
     """Show the model in the browser while it trains."""
     port: int = 8080

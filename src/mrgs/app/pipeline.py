@@ -28,7 +28,7 @@ from mrgs.system.wording import counted, quoted
 
 GIGABYTE = 1e9
 BUSY = 1.3
-"""Other programs that make it so many times as long are worth a word."""
+"""Slowdown by other programs above which the plan mentions it, a factor."""
 
 
 def follow_pipeline(

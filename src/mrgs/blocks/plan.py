@@ -48,7 +48,7 @@ LEAST_SHARE = 0.1
 """Least share of a photo's pixels that must show a part of the scene to train it."""
 
 SHARE_OF_MOST = 0.5
-"""The same as a share of the best photo's, where no photo shows much."""
+"""The same relative to the best photo's share; the smaller bound counts."""
 
 SKY_PX = 3
 """Width of the sky that counts around a part of a scene, for its outline."""
@@ -164,7 +164,7 @@ OVERLAP = 0.15
 
 class BlockOptions(NamedTuple):
     """How a scene is to be cut: ``auto`` or ``ROWSxCOLUMNS``, and the width of the margin about
-    each block that is trained with it, scene units; None for a share of the smallest block."""
+    each block that is trained with it, scene units; None for a share of the narrowest one."""
 
     blocks: str = "auto"
     overlap: float | None = None

@@ -40,8 +40,7 @@ WIDEST = 1 / 3
 of their overlap: no block may move a wider one, see ``EXTENT``."""
 
 SEAM_WIDTH = 1 / 3
-"""Half width of the strip along an edge that is refined after joining, as a share of the blocks'
-overlap."""
+"""Half width of the strip along an edge refined after joining, as a share of blocks' overlap."""
 
 SEAM_EXTENT = 1.0
 """Assumed radius of a Gaussian in a seam, in its largest standard deviations: smaller, so that wide
@@ -56,8 +55,6 @@ class Part:
     """A part of a scene: a region of its plane, without the background.
 
     Attributes:
-        plane: of the scene.
-        region: in the plane.
         counted: the region whose pixels count in photos; the same or a larger one.
         reach: bounds of the scene.
         extent: assumed radius of a Gaussian, in its largest standard deviations.
@@ -97,8 +94,8 @@ class LocalDensityControl(Strategy):
         return self.inner.initial_state(gaussians)
 
     def movable(self, gaussians: Gaussians) -> Bool[Tensor, " n"]:
-        """Which Gaussians the part holds. Others stay as all parts know them: no pixel that counts
-        here shows what they do elsewhere."""
+        """Which Gaussians are in the part. The others keep the values that all parts share: no
+        pixel that counts here shows what they do elsewhere."""
         return self.part.holds(gaussians)
 
     def observe(  # noqa: D102
@@ -151,10 +148,8 @@ class Refinement:
     """A training that refines a part of a model.
 
     Attributes:
-        start: the model.
         part: what is refined; everything else stays as it is.
         views: training views that show it.
-        config: of the training.
         density: control of the part's Gaussians.
         rows: Gaussians of the model that are in the part, or that its views show.
         points: that the part starts from, in place of the model's Gaussians in it; None for these.

@@ -73,7 +73,7 @@ class Region(NamedTuple):
 
     @classmethod
     def from_json(cls, value: Any) -> Region:
-        """A region from ``to_json``. TypeError or ValueError if the value is none."""
+        """A region from ``to_json``. TypeError or ValueError if the value is not a region."""
         low, high = value
         return cls(_ends(low, -math.inf), _ends(high, math.inf))
 
@@ -179,7 +179,7 @@ def shape_for(count: int, sides: tuple[float, float]) -> tuple[int, int]:
 
 
 def _edges(values: Float64[Tensor, " n"], parts: int) -> list[float]:
-    """Where values are cut into equally many; fewer parts where they do not differ."""
+    """Bounds of parts with equally many of the values; fewer parts where values do not differ."""
     if parts == 1 or not len(values):
         return [-math.inf, math.inf]
     # As torch.quantile, which takes no more than 16 million values.

@@ -62,13 +62,10 @@ class BlockTraining:
     Finished parts are not done again, so that the same call continues what was ended at any moment.
 
     Attributes:
-        scene: the whole.
         folder: of the joined run; blocks are below it.
         config: of the whole; steps and largest number of Gaussians are those of each block.
         options: how it is cut.
-        device: where it is trained.
         plain: run the plain definitions of all operations.
-        follow: shows each training.
         say: takes lines for the user.
     """
 
@@ -333,8 +330,7 @@ def mean_image_model(
     coarse: Mapping[str, Tensor], blocks: Sequence[Mapping[str, Tensor]], photos: Sequence[int]
 ) -> dict[str, Tensor]:
     """The image model of a joined model: the mean over its blocks, weighted by their photos; a
-    photo's drift only over those that have learned of it, weighted by how often, else the coarse
-    model's."""
+    photo's drift only over those that have learned of it, by how often, else the coarse one's."""
     found = {}
     for name, start in coarse.items():
         if start.dtype == torch.bool:  # blocks decide nothing of their own

@@ -126,6 +126,6 @@ def cameras_by_modality(scene: Scene) -> dict[Modality, dict[str, Camera]]:
     return {modality: found[modality] for modality in in_order(found)}
 
 
-def views_text(names: Sequence[str], most: int = 5) -> str:
+def views_text(names: Sequence[str]) -> str:
     """Number of views and the names of the first ones, for a sentence."""
-    return f"{counted(len(names), 'view')} ({listed(names, most)})"
+    return f"{counted(len(names), 'view')} ({listed(names, 5)})"

@@ -45,7 +45,7 @@ RULES = (
     Rule(photos.jumps),
     Rule(photos.blurred),
 )
-"""In the order in which the problems are reported."""
+"""All rules, in the order in which problems are reported."""
 
 
 def find_problems(evidence: Evidence, fast: bool = False) -> list[Problem]:

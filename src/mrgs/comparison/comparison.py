@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from mrgs.comparison.paper_tables import NAMES, Outcomes, all_tables, scene_title
 from mrgs.comparison.plan import (
     Options,
     PlannedRun,
@@ -25,8 +26,8 @@ from mrgs.comparison.plan import (
 )
 from mrgs.comparison.processes import Progress, run_jobs
 from mrgs.comparison.table import Outcome, Table, failed, outcome, to_csv, to_latex, to_markdown
-from mrgs.comparison.tables import NAMES, Outcomes, all_tables, scene_title
 from mrgs.data import load_scene
+from mrgs.data.images import read_float_tiff
 from mrgs.errors import ConfigError, MrgsError, SceneError
 from mrgs.evaluation.contact_sheet import (
     DEPTH_NOTE,
@@ -37,7 +38,6 @@ from mrgs.evaluation.contact_sheet import (
     error_scale,
     pooled,
 )
-from mrgs.evaluation.evaluate import read_float_tiff
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.metrics import to_json
 from mrgs.evaluation.renders import evaluate_renders, find_renders

@@ -110,7 +110,7 @@ def require_same_config(folder: Path, config: RunConfig, scores: Scores | None) 
 
 
 def _is_trained(folder: Path, config: RunConfig) -> bool:
-    """Whether the newest checkpoint, by its name, is that of the last step."""
+    """Whether there is a checkpoint of the last step, by its name."""
     return config.max_steps in (
         int(path.stem.removeprefix("step_")) for path in RunFolder(folder).checkpoints()
     )
@@ -248,7 +248,7 @@ def configure(variant: Variant, options: Options, seed: int) -> RunConfig:
 
 
 def from_text(text: str) -> RunConfig:
-    """A configuration of any method, as ``write_yaml`` wrote it. ConfigError if it is none."""
+    """A configuration of any method, as ``write_yaml`` wrote it. ConfigError for any other text."""
     method = find_method(_method_in(text, "the request"))
     config: RunConfig = method.read_config(text, "the request")
     return config

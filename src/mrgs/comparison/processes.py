@@ -141,8 +141,7 @@ def _receive(
 
 @dataclass
 class _Running:
-    """Where a run is; ``first_step`` is the first one reported, at ``first_time``: before it,
-    kernels compile."""
+    """Where a run is; ``first_step`` was the first report, at ``first_time``, after compilation."""
 
     started: float
     first_step: int | None = None

@@ -129,8 +129,7 @@ def over_seeds(figures: Sequence[Figure]) -> Cell:
 
 
 def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cell:
-    """The mean over scenes of the seeds that have all of them, and its standard deviation over
-    seeds."""
+    """Mean over scenes of seeds that have all of them, and its standard deviation over seeds."""
     per_seed = []
     for seed in zip(*scenes, strict=True):
         values = [figure for figure in seed if not isinstance(figure, Missing)]
@@ -359,7 +358,7 @@ def to_csv(table: Table) -> str:
 
 
 def to_plain(table: Table) -> str:
-    """For a terminal, scene below scene, without notes; * marks the best, + the second best."""
+    """The table for a terminal, scene by scene, without notes; * marks the best, + the second."""
     signs: dict[Mark, str] = {"best": "*", "second": "+", "": " "}
     lines = [table.caption]
     for part in _parts(table, 1):
@@ -411,7 +410,7 @@ def _parts(table: Table, most: int) -> Iterator[Table]:
 def _cells(
     table: Table, notes: _Notes
 ) -> Iterator[tuple[tuple[str, ...], list[tuple[str, Mark, str]]]]:
-    """Of each row its labels, and of each cell its text, its mark and the letter of its note."""
+    """Per row: its labels, and each cell's text, mark and note letter."""
     for row, row_marks in zip(table.rows, marks(table), strict=True):
         cells = [
             (printed(cell, name, row.published), mark, notes.letter(cell.note))

@@ -1,4 +1,4 @@
-"""The one room that opens files of strangers: scene folders in, a ``mrgs.scene.Scene`` out."""
+"""Readers of files that strangers may have made: a scene folder in, a ``mrgs.scene.Scene`` out."""
 
 from mrgs.data.load import load_scene
 

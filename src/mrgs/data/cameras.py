@@ -1,5 +1,4 @@
-"""Lenses and poses that files describe: their checks, and from the files' conventions to OpenCV's
-world to camera."""
+"""Lenses and poses that files describe: their checks, and their conversion to OpenCV's axes."""
 
 from __future__ import annotations
 
@@ -73,7 +72,7 @@ def lens_from_json(
         )
 
     def focal(axis: str, pixels: float) -> float | None:
-        """From ``fl_x``, or ``x_fov`` in degrees, or ``camera_angle_x`` in radians."""
+        """Focal length, px, from ``fl_x``, ``x_fov`` (degrees) or ``camera_angle_x`` (radians)."""
         angle = number(f"camera_angle_{axis}", math.radians(number(f"{axis}_fov", 0.0)))
         if values.get(f"fl_{axis}") is not None:
             return number(f"fl_{axis}")

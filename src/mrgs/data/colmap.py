@@ -58,7 +58,7 @@ _PARAMETER_COUNTS = {
     "RADIAL_FISHEYE": 5,
     "THIN_PRISM_FISHEYE": 12,
 }
-"""Of each camera model, in the order of COLMAP's numbers for them."""
+"""Number of parameters of each camera model, in the order of COLMAP's numbers for them."""
 
 _NOT_READ = ("FOV", "THIN_PRISM_FISHEYE")
 

@@ -145,7 +145,7 @@ class _Listing:
 
 
 _FORMATS = (".tiff", ".tif", ".png", ".jpg", ".jpeg")
-"""Of several images of one name the first is used: a JPEG is often a preview."""
+"""Formats of images in order of preference, if several have one name: a JPEG is often a preview."""
 
 
 class ImageFinder:

@@ -38,22 +38,23 @@ MAX_PIXELS = 80_000_000
 """Larger images are refused unread."""
 
 FREE_PIXELS, PIXELS_PER_BYTE = 25_000_000, 40
-"""So are images larger than this with more pixels for each byte of their file: a photo has ten at
-most, a mask more, and a small file that unfolds to many pixels would take minutes and gigabytes."""
+"""Images larger than this with more pixels for each byte of their file are refused too: a photo has
+ten at most, a mask more, and a small file that unfolds to many pixels would take minutes."""
 
 LIMIT_VARIABLE = "MRGS_MAX_MEGAPIXELS"
 """An environment variable that replaces these limits."""
 
 MOST_SCANS, _START_OF_SCAN = 500, b"\xff\xda\x00"
-"""Of a JPEG; a progressive one has about ten. Each may take ten bytes, and visits all pixels. With
-the first byte of its length, no signal that cameras append looks like many."""
+"""Scans from which on a JPEG is refused, and what begins one. A progressive JPEG has about ten;
+each may take ten bytes, and visits all pixels. With the first byte of its length, no signal that
+cameras append looks like many."""
 
 DRAFT_SHARES = (8, 4, 2)
 """Reductions that a JPEG decoder offers in each direction, by transforming fewer frequencies."""
 
 DRAFT_MARGIN = 2
-"""A photo that is to be made smaller is decoded with at least so many times its pixels across: made
-smaller from there or from all of its pixels, it differs by less than a level of 8 bits (RMS)."""
+"""A photo that is to be made smaller is decoded with at least this multiple of its pixels across:
+made smaller from there or from all of its pixels, it differs by less than an 8-bit level (RMS)."""
 
 Kind = Literal["grey", "colour", "float"]
 """One channel of integers, three channels of integers, or one channel of numbers: a TIFF of floats,
@@ -258,6 +259,15 @@ def decode_mask(path: Path) -> Bool[Tensor, "h w"]:
     return (decode(path).values > black).any(dim=-1)
 
 
+def read_float_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
+    """Numbers of a TIFF with one channel of float32, as ``numbers_of``. SceneError if the file is
+    damaged, or of another kind."""
+    with opened(path, formats=("TIFF",)) as image:
+        if image.mode != "F":
+            raise scene_error(path, f"is no TIFF with one float32 channel (mode {image.mode})")
+        return numbers_of(image)
+
+
 def _mask(usable: np.ndarray) -> Bool[Tensor, "h w"] | None:
     return None if usable.all() else torch.from_numpy(usable)
 
@@ -334,7 +344,8 @@ def _is_misread(image: Image.Image) -> bool:
 
 
 def _most_pixels(size: int) -> int:
-    """Of an image in a file of ``size`` bytes. ConfigError if the variable is no such number."""
+    """Largest number of pixels of an image in a file of ``size`` bytes. ConfigError if the variable
+    is not a number of megapixels."""
     if not (stated := os.environ.get(LIMIT_VARIABLE)):
         return min(MAX_PIXELS, max(FREE_PIXELS, PIXELS_PER_BYTE * size))
     try:

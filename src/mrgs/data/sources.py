@@ -131,7 +131,7 @@ def point_cloud(
 
 Decoder = Callable[[Path, int | None], tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]]
 """The values and the mask of usable pixels of a file, which may be decoded at one of
-``DRAFT_SHARES`` of its size that is at least so many pixels wide; whole if None."""
+``DRAFT_SHARES`` of its size, at least as many pixels wide as given; whole if None."""
 
 Prober = Callable[[Path], ImageInfo]
 

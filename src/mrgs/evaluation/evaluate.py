@@ -4,7 +4,6 @@ exact truth; and what the views lose without each part of the paper."""
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from jaxtyping import Float, Float32
 from PIL import Image
 from torch import Tensor
 
+from mrgs.data.images import read_float_tiff
 from mrgs.errors import SceneError
 from mrgs.evaluation.lpips import MIN_SIDE_PX, Lpips
 from mrgs.evaluation.metrics import (
@@ -159,23 +159,6 @@ class Truth:
                 Image.fromarray(exact).resize((shape[1], shape[0]), Image.Resampling.BOX)
             )
         return torch.from_numpy(np.array(exact))
-
-
-def read_float_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
-    """Read a one-channel float32 TIFF. SceneError if the file is damaged or of another kind."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # Pillow only warns of damaged tags
-            image = Image.open(path)
-        with image:
-            if image.mode != "F":
-                raise SceneError(
-                    f"{path}: a one-channel float32 TIFF is expected, the file's mode is "
-                    f"{image.mode}"
-                )
-            return np.asarray(image, dtype=np.float32)
-    except (OSError, ValueError, SyntaxError, Warning, Image.DecompressionBombError) as error:
-        raise SceneError(f"{path}: not a readable TIFF ({error})") from error
 
 
 @dataclass(frozen=True)
@@ -324,8 +307,7 @@ def _temperature_figures(
     temperature: TemperatureRange | None,
     foreground: Foreground | None,
 ) -> Figures:
-    """MAE in °C over the full frame, the same after the photo's own offset, and over the
-    foreground."""
+    """MAE in °C over the frame, the same after the photo's own offset, and over the foreground."""
     if temperature is None:
         return all_missing(CELSIUS_FIGURES, NO_CELSIUS)
     compared, span_c = (image, photo.values, photo.valid), temperature.span_c
@@ -369,8 +351,7 @@ class Parts:
 
 def score_parts(run: Run, views: Sequence[View], truth: Truth | None = None) -> Parts | None:
     """Knock the parts out of a run's model, one at a time, and score what is left. None for a model
-    without the paper's field (3DGS_RGB-T). SceneError if an image or a truth file cannot be
-    read."""
+    without the paper's field (3DGS_RGB-T). SceneError if an image or truth cannot be read."""
     spreads = part_spreads(run.model, views[0].camera.position.float())
     if spreads is None:
         return None

@@ -38,15 +38,14 @@ MIN_SIDE_PX = 16
 
 
 class Lpips:
-    """The distance between two images; 0 for identical ones, around 0.1 to 0.5 for renderings of
-    photos."""
+    """The distance between two images; 0 for identical ones, about 0.1 to 0.5 for renderings."""
 
     def __init__(self, weights: dict[str, Tensor]) -> None:
         self._weights = weights
 
     @classmethod
     def found(cls, path: Path | None) -> Lpips | None:
-        """With the weights of a file, or if that is None with those among the checkpoints of
+        """LPIPS with the weights of a file, or if that is None with those among the checkpoints of
         torch's hub; None if there are none, or with a warning if these cannot be used, as nobody
         asked for them. RunError as for ``from_file`` for the file."""
         if path is not None:
@@ -62,7 +61,7 @@ class Lpips:
             return None
 
     @classmethod
-    def from_file(cls, path: Path, device: torch.device | str = "cpu") -> Lpips:
+    def from_file(cls, path: Path) -> Lpips:
         """Read the weights (names and shapes: see the module). RunError if the file is missing, is
         no safetensors file, or lacks a tensor of the right shape."""
         if not path.is_file():
@@ -72,7 +71,7 @@ class Lpips:
             )
         shapes = weight_shapes()
         try:
-            with safe_open(path, framework="pt", device=str(device)) as file:
+            with safe_open(path, framework="pt") as file:
                 weights = {
                     name: file.get_tensor(name).float() for name in set(file.keys()) & shapes.keys()
                 }

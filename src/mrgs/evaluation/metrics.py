@@ -88,8 +88,7 @@ BORDER = 0.05
 
 
 def psnr(image: Image, target: Image, valid: Mask | None = None) -> float:
-    """Peak signal-to-noise ratio for the range 1, dB; infinite where the valid pixels are
-    identical."""
+    """Peak signal-to-noise ratio for the range 1, dB; infinite for identical valid pixels."""
     difference = _select(image.clamp(0, 1), valid).double() - _select(target, valid).double()
     mse = difference.square().mean().item()
     return math.inf if mse == 0 else -10 * math.log10(mse)
@@ -116,8 +115,7 @@ def psnr_matched(image: Image, target: Image, valid: Mask | None = None) -> Figu
 def mean_absolute_error(
     image: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"], valid: Mask | None = None
 ) -> float:
-    """Mean of |image − target| over the valid pixels, in the unit of the input; NaN where no pixel
-    is valid."""
+    """Mean of |image − target| over the valid pixels, in the input's unit; NaN if none is valid."""
     return (_select(image, valid).double() - _select(target, valid).double()).abs().mean().item()
 
 
@@ -171,7 +169,7 @@ def fill_invalid(image: Image, target: Image, valid: Mask | None) -> Image:
     return image if valid is None else image.where(valid[..., None], target)
 
 
-def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | None:
+def otsu_threshold(values: Float[np.ndarray, " n"]) -> float | None:
     """Otsu's threshold, which parts values into two classes.
 
     It maximises the between-class variance over the histogram (N. Otsu, "A threshold selection
@@ -181,7 +179,7 @@ def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | 
     low, high = float(values.min()), float(values.max())
     if not low < high:
         return None
-    counts, edges = np.histogram(values, bins=bins, range=(low, high))
+    counts, edges = np.histogram(values, bins=256, range=(low, high))
     centres = (edges[:-1] + edges[1:]) / 2
     below, total = np.cumsum(counts)[:-1], counts.sum()
     moment_below = np.cumsum(counts * centres)[:-1]
@@ -261,7 +259,6 @@ def _select(image: Tensor, valid: Tensor | None) -> Tensor:
 
 
 def _planes(image: Tensor, target: Tensor, valid: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Both images as [C, H, W] in float64: a window's variance is a small difference of large
-    numbers."""
+    """Both images as [C, H, W] in float64: a variance is a small difference of large numbers."""
     filled = fill_invalid(image.clamp(0, 1), target, valid)
     return filled.double().permute(2, 0, 1), target.double().permute(2, 0, 1)

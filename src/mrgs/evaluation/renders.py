@@ -55,8 +55,7 @@ CELSIUS_FOLDER = "temperature_c"
 @dataclass(frozen=True)
 class Renders:
     """The image files of one folder: of each modality that it has, by view name, where the name of
-    a file's folder determines how it is read; and depths of the thermal camera, by view name, which
-    may be empty."""
+    a file's folder determines how it is read; and thermal depths, if any, by view name."""
 
     images: Mapping[Modality, Mapping[str, Path]]
     depths: Mapping[str, Path]
@@ -244,7 +243,7 @@ def _celsius(
 def _temperatures(
     path: Path, image: Decoded, temperature: TemperatureRange | None
 ) -> Float32[Tensor, "h w 1"]:
-    """From ``thermal/``: floats are °C, integers are spread over the range already."""
+    """Normalised temperatures from ``thermal/``: floats are °C, integers span the range already."""
     if image.kind == "float":
         return _celsius(path, image, temperature)
     values = image.values

@@ -82,7 +82,7 @@ class ScoredData:
 
     @classmethod
     def from_json(cls, value: Any) -> ScoredData | None:
-        """The data from their JSON form; None where it is none, as in older files."""
+        """The data from their JSON form; None for anything else, as in older files."""
         try:
             return from_json(cls, value)
         except ValueError:
@@ -249,7 +249,7 @@ PART_NAMES = {
 
 
 def _parts_text(parts: Parts) -> str:
-    """How much the parts say, and the held-out views' figures without each."""
+    """How much the parts contribute, and the held-out views' figures without each."""
     document = parts.to_document()
     spreads = [
         f"{name} {document[key]:.4f}{unit}"

@@ -60,4 +60,4 @@ _FORMATS = (
 )  # fmt: skip
 
 FORMATS: dict[str, Format] = {each.name: each for each in _FORMATS}
-"""By name, in the order of the help."""
+"""All formats by name, in the order of the help."""

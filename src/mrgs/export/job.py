@@ -150,8 +150,7 @@ class ExportJob:
 
     @cached_property
     def splat_model(self) -> BakedModel:
-        """The model for files of splats: on marked surfaces their temperatures are corrected one by
-        one."""
+        """The model for files of splats: on marked surfaces their temperatures are corrected."""
         return self.baked if self.regions is None else self.regions.of_splats(self.baked)
 
     @cached_property
@@ -163,12 +162,9 @@ class ExportJob:
         note = correction_note(self.baked, self.splat_model, self.regions, cameras)
         return self.facts | {"temperature": self.facts["temperature"] | {"own_emissivity": note}}
 
-    def splats(
-        self, baked: BakedModel | None = None
-    ) -> Iterator[tuple[Modality, SplatArrays, dict[str, Any]]]:
-        """Yield each modality to write, its splats, and the facts about their file. They are taken
-        from ``baked``, by default from ``splat_model``."""
-        baked = baked or self.splat_model
+    def splats(self) -> Iterator[tuple[Modality, SplatArrays, dict[str, Any]]]:
+        """Yield each modality to write, its splats from ``splat_model``, and their file's facts."""
+        baked = self.splat_model
         for modality in self.modalities:
             facts = self.splat_facts | color_facts(modality, self.scale, baked)
             is_thermal, scale = modality == THERMAL, self.scale

@@ -34,8 +34,7 @@ MIN_VIEWS = 2
 """A sample that fewer cameras saw is not known."""
 
 BOUNDS_PERCENTILE = 2.0
-"""The box contains the points between this percentile and its counterpart on each axis: far
-background is left out."""
+"""On each axis, points beyond this percentile and its counterpart, far background, are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +68,7 @@ def fuse(maps: Sequence[DepthMap], resolution: int) -> tuple[Float32[np.ndarray,
 
 
 def _grid_of(maps: Sequence[DepthMap], resolution: int) -> Grid:
-    """A box about the seen points, its step no finer than the median width of a pixel on the
-    surfaces."""
+    """A box about the seen points, its step no finer than the median pixel on the surfaces."""
     points = np.concatenate([item.points() for item in maps])
     low, high = np.percentile(points, [BOUNDS_PERCENTILE, 100 - BOUNDS_PERCENTILE], axis=0)
     surfaces = [(item.depth[np.isfinite(item.depth)], float(item.camera.K[0, 0])) for item in maps]
@@ -175,8 +173,7 @@ RESOLUTION = 320
 """Samples along the longest side of the scene."""
 
 SMALLEST_PART = 0.005
-"""Connected parts with fewer than this share of the largest part's faces are left out: floating
-specks."""
+"""Connected parts with fewer than this share of the largest part's faces, specks, are left out."""
 
 
 @dataclass(frozen=True, eq=False)

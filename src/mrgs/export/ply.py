@@ -59,8 +59,7 @@ def write_combined_ply(
 
 
 def splat_columns(splats: SplatArrays) -> dict[str, np.ndarray]:
-    """The properties of 3DGS in its order; the normals are zero, the higher coefficients channel by
-    channel."""
+    """3DGS's properties in its order; normals are zero, higher coefficients channel by channel."""
     columns: dict[str, np.ndarray] = {axis: splats.means[:, i] for i, axis in enumerate("xyz")}
     columns |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(len(splats), np.float32))
     columns |= {f"f_dc_{channel}": splats.sh[:, 0, channel] for channel in range(3)}

@@ -45,8 +45,7 @@ UNITS = {
 require_laspy = partial(optional_package, "laspy", "LAS files", "export")
 
 FINEST_STEP = 1e-6
-"""Coordinates are integers times a power of ten, this or as much larger as the points' spread
-needs."""
+"""Coordinates are integers times a power of ten: this, or a larger one for widely spread points."""
 
 
 def export_las(job: ExportJob) -> list[Path]:

@@ -28,7 +28,7 @@ from mrgs.system.memory import row_chunks
 MAGIC = 0x5053474E
 VERSION = 3
 NO_FLAGS = 0
-"""The opacities are for a viewer that does not compensate them for its dilation."""
+"""SPZ's flags: without 'antialiased', viewers do not compensate opacities for their dilation."""
 
 MAX_FRACTIONAL_BITS = 20
 POSITION_LIMIT = 2**23

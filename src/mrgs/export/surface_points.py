@@ -69,8 +69,7 @@ def value_columns(
 
 
 MIN_OPACITY = 0.3
-"""A splat becomes a point if one of its opacities reaches this: fainter ones fill gaps and haze,
-and lie off the surfaces."""
+"""A splat becomes a point if an opacity reaches this: fainter ones are haze off the surfaces."""
 
 Columns: TypeAlias = Mapping[str, Float32[np.ndarray, " m"] | UInt8[np.ndarray, " m"]]
 """Colours, temperatures and other values by their names in files."""

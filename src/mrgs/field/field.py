@@ -33,7 +33,7 @@ MAX_FREQUENCIES = 24
 
 @dataclass(frozen=True)
 class FieldConfig:
-    """What stands between the Gaussians' parameters and the values that are blended.
+    """How the blended values follow from the Gaussians' parameters.
 
     Attributes:
         residuals: add the learned residuals ĉ and t̂; off for 3DGS_RGB-T, which blends spherical

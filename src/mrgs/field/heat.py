@@ -52,8 +52,8 @@ class FourierHeatTransformation(nn.Module):
 
     f_grad is a convolution with a kernel of size K = |U| along the neighbours, in the order of
     their distance; f_q is a convolution of size 1. Without neighbours there is no flux and F' = F.
-    Both have biases, as convolutions have where nothing is said, so a uniform field keeps a flux;
-    with ``bias=False`` it would have none, as Fourier's law wants.
+    Both have biases, as convolutions have by default, so a uniform field keeps a flux; with
+    ``bias=False`` it would have none, as Fourier's law wants.
     """
 
     def __init__(self, width: int, k: int, anchor_weight: float, surrounding_weight: float) -> None:

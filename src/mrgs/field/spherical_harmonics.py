@@ -14,7 +14,7 @@ from mrgs.field.encoding import take, viewing_directions
 from mrgs.system.operation import operation
 
 MAX_DEGREE = 3
-"""Of colours, and of temperatures that depend on the view."""
+"""Highest degree, for colours and view-dependent temperatures."""
 
 MOST_BANDS = (MAX_DEGREE + 1) ** 2 - 1
 """Basis functions of degrees 1 to 3."""

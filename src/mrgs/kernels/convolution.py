@@ -79,7 +79,8 @@ def _correlate_row(padded, row, weights, result, count):
 
 @parallel_kernel()
 def weights_gradient(padded, gradient, sums):
-    """By the nine weights: each row's part in double precision [H, 9]; the gradient is [H, W]."""
+    """Each row's share of the gradient with respect to the nine weights, double precision, [H, 9],
+    from the gradient of the result, [H, W]."""
     height, width = gradient.shape
     for row in prange(height):
         for tap in range(9):

@@ -352,7 +352,7 @@ def encode(x, frequencies, out):
 @reordering_kernel
 def encode_backward(encoded, grad, row, start, frequencies, grad_x):
     """Add the gradient at one point x to ``grad_x`` [3]: sin' = 2ⁿπ cos, cos' = −2ⁿπ sin. PE(x) and
-    its gradient stand in a row of ``encoded`` and ``grad``, from the column ``start``."""
+    its gradient are in a row of ``encoded`` and ``grad``, from the column ``start``."""
     factor = _PI
     for n in range(frequencies):
         for axis in range(3):

@@ -72,7 +72,7 @@ reordering_inlined_function = partial(reordering_inner_function, forceinline=Tru
 
 @intrinsic
 def address(typingctx: Any, array: Any, index: Any) -> Any:
-    """Where a contiguous array holds its element ``index``, counted through all dimensions; read
+    """Address of the element ``index`` of a contiguous array, counted through all dimensions; read
     and written like an array, unchecked. It does not keep the array alive: take addresses of a
     function's arguments only, which its caller keeps."""
 

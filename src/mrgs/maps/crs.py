@@ -92,14 +92,14 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
     """The CRS of a scene in metres: where GPS placed the scene the wanted projected one, such as
     ``EPSG:25832``, or by default the UTM zone; else a local one. ConfigError if the scene is not
     known to be in metres; the wanted CRS does not exist, is not in metres, does not cover the
-    scene, or is mirrored or not true to scale there; the scene has no place on Earth, or is beyond
+    scene, or is mirrored or not true to scale there; the scene is not georeferenced, or is beyond
     UTM; or pyproj is not installed."""
     require_metres(scene)
     world = scene.world
     if not world.is_georeferenced or world.origin is None:
         if wanted is not None:
             raise ConfigError(
-                f"{scene.name} has no place on Earth, so {wanted} cannot be used: prepare it from "
+                f"{scene.name} is not georeferenced, so {wanted} cannot be used: prepare it from "
                 f"photos with GPS, or leave the CRS out",
                 options=("crs",),
             )

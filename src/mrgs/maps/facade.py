@@ -216,8 +216,7 @@ def facade_grid(
     scene: Scene, maps: Sequence[DepthMap], options: MapOptions, most_px: int | None = None
 ) -> MapGrid:
     """The pixels of the map of a façade, by a ``survey``; ``options`` has plane and pixel size. For
-    ``most_px`` see ``pixel_size_m``. ConfigError if the vertical is not known, RunError if there is
-    no façade."""
+    ``most_px`` see ``pixel_size_m``. ConfigError if up is not known, RunError without a façade."""
     surfaces = surfaces_of(maps)
     eye = torch.stack([item.camera.position for item in maps]).mean(dim=0).numpy()
     if options.plane is None:

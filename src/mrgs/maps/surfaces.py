@@ -1,5 +1,5 @@
 """The pixels of an orthographic map, the camera that draws them, and what photos show there. A
-camera from very far away is orthographic but for relief / distance: see ``docs/decisions``."""
+camera from very far away is orthographic but for relief / distance (docs/decisions, 033)."""
 
 from __future__ import annotations
 
@@ -340,8 +340,7 @@ class Coverage:
 
 
 TIMES_MEDIAN = 2.5
-"""The map shows surfaces within this multiple of the photos' median distance: pixels of what is
-farther are too coarse."""
+"""The map shows surfaces within this multiple of the photos' median distance: others are coarse."""
 
 CELL_PX = 4
 """Side of the cells in which photos are counted, in pixels of the survey at the median distance."""
@@ -406,8 +405,7 @@ class ShownPlaces:
 
     def depth_of_part(self, part: tuple[slice, slice], camera: Camera, depth: Plane) -> Plane:
         """The depth that the camera of a part (rows and columns) of the map sees, where a photo
-        shows that surface; elsewhere that of the photos' own surfaces, NaN where they have none,
-        [H, W]."""
+        shows that surface; elsewhere that of the photos' own surfaces, else NaN, [H, W]."""
         points = unprojected(camera, depth).astype(np.float32)
         near = [
             (item, window)

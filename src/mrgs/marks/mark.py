@@ -61,7 +61,6 @@ class Mark:
         eye: where it was drawn from. It is measured as seen from there: what is behind something
             does not belong to it.
         radius: of a spot's disc, scene units; 0 for the other kinds.
-        note: the user's words.
         severity: of the finding: class 1 to 3 of IEC TS 62446-3, or free text.
         emissivity: of the surface in a box or polygon; None keeps that of the photos.
         reflected_c: reflected apparent temperature there, °C; None keeps that of the photos.

@@ -155,8 +155,7 @@ class MarkMeter:
         return known
 
     def measure(self, marks: Marks, regions: Regions | None = None) -> list[MarkReading]:
-        """Every mark, in their order, with the differences between them; ``regions`` are those of
-        these marks."""
+        """All marks in their order, with differences; ``regions`` are those of these marks."""
         if regions is None:
             regions = self.regions(marks)
         readings = [self.read(mark, regions) for mark in marks.marks]
@@ -297,7 +296,7 @@ def _with_values(
 def _with_difference(
     reading: MarkReading, named: dict[str, MarkReading], reference: str
 ) -> MarkReading:
-    """With ΔT to the mark that it is compared with, if there is one."""
+    """The reading with ΔT to the mark that it is compared with, if there is one."""
     other = reading.mark.against or reference
     if not other or other == reading.mark.name:
         return reading

@@ -26,8 +26,7 @@ COVERAGE = 2.0
 """Times the standard uncertainty: an interval that contains the truth in 95 of 100 cases."""
 
 OF_ONE_VALUE = COVERAGE / 12**0.5
-"""Half the width of the interval for 95 of 100 cases, in steps: errors within a step are equally
-likely (GUM F.2.2.1)."""
+"""Half the interval for 95 %, in steps: errors within a step are equally likely (GUM F.2.2.1)."""
 
 BLOCK_PX = 8
 _TERMS = 50
@@ -73,10 +72,10 @@ class Shares(NamedTuple):
 
 
 OF_POINT = Shares(0.85, 0.6, 0.0)
-"""For what the photos' cameras see at a single point, which has no deviation."""
+"""Shares for what the photos' cameras see at a single point, which has no deviation."""
 
 OF_MARK = Shares(1.95, 1.0, 1.0)
-"""For the mean of a mark."""
+"""Shares for the mean of a mark."""
 
 FEW_PHOTOS = 2.0
 """The scatter of n photos counts 1 + 2 / (n − 1) times: few may agree by chance."""
@@ -115,8 +114,7 @@ class PhotoParts(NamedTuple):
 
 class SightingSums:
     """What photos show of places, gathered photo by photo with weights 1 / z², as temperatures are.
-    ``rounding`` is half the width of the interval that the rounding of the photos' values leaves,
-    in their unit."""
+    ``rounding`` is half the interval left by the rounding of the photos' values, in their unit."""
 
     def __init__(self, places: int, rounding: float = 0.0) -> None:
         self._rounding = rounding
@@ -132,8 +130,7 @@ class SightingSums:
         values: Float32[np.ndarray, "m c"],
         z: Float32[np.ndarray, " m"],
     ) -> None:
-        """Add the channels of a photo at places, each once, with their z-depths; those with NaN do
-        not count."""
+        """Add a photo's channels at places, each once, with their z-depths; NaN does not count."""
         known = np.isfinite(values).all(axis=1)
         rows, values, weights = rows[known], values[known], z[known] ** -2.0
         self.photos[rows] += 1
@@ -205,8 +202,7 @@ class PhotoReadings:
         self._maps: dict[int, DepthMap] = {}
 
     def __getitem__(self, index: int) -> DepthMap:
-        """Depth and channels of one photo; NaN where it is masked. SceneError if the photo cannot
-        be read."""
+        """Depth and channels of a photo; NaN where masked. SceneError if it cannot be read."""
         if index not in self._maps:
             self._maps[index] = self._witness(self._views[index])
         return self._maps[index]

@@ -1,6 +1,6 @@
 """Places on a surface by the photos themselves (multi-view stereo).
 
-A model's surfaces lie some tenths of a per cent of their distance off, and from every side alike:
+A model's surfaces are off by some tenths of a per cent of their distance, from every side alike:
 what one view has of them is as good as the mean of all. The photos know better. A small patch of
 the surface, moved to where all photos that see it show the same in it, is where the object is; what
 has no texture stays where the model has it.
@@ -58,8 +58,7 @@ FARTHEST = 0.05
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
-    """A photo with values from 0 to 1, and its camera as projection from homogeneous world
-    coordinates to pixels."""
+    """A photo with values from 0 to 1, and its camera as projection from the world to pixels."""
 
     projection: Float[np.ndarray, "3 4"]
     image: Float[np.ndarray, "h w c"]
@@ -92,8 +91,7 @@ class _Photo:
 class _Patch(NamedTuple):
     """A square of a surface: its samples in the world with weights; how far parameters of 1 move
     them along the normal (until the plane is twice as far from the eye, and two slopes about the
-    middle); and the change of the parameters that moves the photos' images by about a third of a
-    pixel."""
+    middle); and the change of the parameters that moves the images by about a third of a pixel."""
 
     points: Float[np.ndarray, "s 3"]
     weights: Float[np.ndarray, " s"]

@@ -1,4 +1,4 @@
-"""``marks.json`` in a run's folder: written whole or not at all, read strictly, and undone step by
+"""``marks.json`` in a run's folder: written whole or not at all, read strictly, undone step by
 step."""
 
 from __future__ import annotations
@@ -94,8 +94,7 @@ class MarkStore:
     def read(self) -> Marks:
         """The marks; none where there is no file. RunError if the run's folder is gone, or the file
         cannot be read, is of a newer version of the program, or its marks are those of another
-        model. MrgsWarning if the file is damaged: it is kept under another name, and there are no
-        marks."""
+        model. MrgsWarning if the file is damaged: it is renamed, and there are no marks."""
         require_folder(self.folder)
         states = self._states(self.file)
         return states[0] if states else Marks()
@@ -212,8 +211,7 @@ class MarkStore:
 
 
 def file_stamp(path: Path) -> tuple[int, ...] | None:
-    """Changes whenever a file does, also when it is replaced within a tick of the clock; None
-    without one."""
+    """Changes whenever a file does, also if replaced within a clock tick; None without one."""
     try:
         status = path.stat()
     except OSError:

@@ -47,11 +47,11 @@ SAME_SURFACE = 0.03
 """Pixels whose depth differs by less than this share are of one surface."""
 
 STILL_THERE = 0.08
-"""A surface whose depth differs by less than this share is the one that was marked: models lie off
-their object, and a mark may be older than the model."""
+"""A surface whose depth differs by less than this share is the one that was marked: a model's
+surface is off the object's, and a mark may be older than the model."""
 
 BENT = 0.5
-"""A corner may lie off the plane of the others by this share of the outline's mean width, which
+"""A corner may be off the plane of the others by this share of the outline's mean width, which
 folds it by some 25°: the area of a rectangle with such a corner is off by 4 % at most."""
 
 ROBUST_STEPS = 8
@@ -78,8 +78,7 @@ class SeenSurface:
 
 
 class PixelPlaces(NamedTuple):
-    """Pixels of an image at which points of the world appear; row and column are 0 outside of
-    it."""
+    """Pixels of an image at which points of the world appear; row and column are 0 outside."""
 
     rows: Int64[np.ndarray, " n"]
     columns: Int64[np.ndarray, " n"]

@@ -291,8 +291,7 @@ def _geometry(mark: Mark, world: WorldFrame | None) -> dict[str, Any]:
 
 
 def write_rows(path: Path, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Write rows under the names of their columns as CSV; returns the path. RunError if the file
-    cannot be written."""
+    """Write rows under their columns' names as CSV; returns the path. RunError if it cannot."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, names, lineterminator="\n")
     writer.writeheader()

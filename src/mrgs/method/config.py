@@ -42,7 +42,7 @@ CPU_RATES = {
     "slowdown_from": 0.7,
     "slowdown_to": 0.05,
 }
-"""Learning rates for CPUs, whose schedules are too short for those of 3DGS: docs/decisions."""
+"""Learning rates for CPUs, whose schedules are too short for 3DGS's (docs/decisions, 040)."""
 
 SMOOTHNESS = {
     "smooth_rgb": 0.0,
@@ -50,8 +50,8 @@ SMOOTHNESS = {
     "smooth_depth": 0.0,
     "smooth_noise": 2e-3,
 }
-"""Weights of L_smooth's parts in the presets for CPUs: temperatures alone, as the noise and the
-number of their pixels ask for: docs/decisions."""
+"""Weights of L_smooth's parts in the presets for CPUs: temperatures alone, more where the photos
+are noisy or few are thermal (docs/decisions, 046 and 049)."""
 
 PLUS_LOSS = {
     **SMOOTHNESS,
@@ -64,12 +64,11 @@ PLUS_LOSS = {
     "distortion": 0.1,
 }
 """The losses of ``mrgs-plus`` in all presets: temperatures are smooth where the colours are, and
-noise counts by its squares: docs/decisions."""
+noise counts by its squares (docs/decisions, 049)."""
 
 PLUS_DILATION_PX2 = 0.1
 """Dilation of ``mrgs-plus``: about the variance of a square pixel, 1/12 px². With 0.3 a rendering
-is blurrier than what a pixel averages, and training makes up for it by Gaussians that are too thin:
-docs/decisions."""
+is blurrier than what a pixel averages, and Gaussians become too thin (docs/decisions, 050)."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ class TrainConfig:
         photo_temperatures: start with temperatures read off the thermal photos, not with one for
             all, and with a larger o_t there; not in the paper.
         fitted_residuals: steps in which t̂ is fitted to these temperatures before the training, so
-            that t_i starts as what t̂ cannot say; not in the paper.
+            that t_i starts as the remainder; not in the paper.
         neighbours_every: steps after which the neighbours are searched again, besides whenever N
             changes.
         checkpoint_every: steps between checkpoints; there is one every two minutes besides, unless
@@ -156,7 +155,7 @@ class TrainConfig:
         return Dilation(self.dilation_px2, finest)
 
     def radiance_of(self, capture: Capture) -> BandRadiance | None:
-        """In which temperatures of a model of these photos are blended and blurred."""
+        """The radiance as which a model blends temperatures; None to blend them as they are."""
         return capture.radiance if self.image_model.radiance else None
 
     def pixel_size_at(self, step: int) -> int:
@@ -281,10 +280,10 @@ METHODS = tuple(_CHANGES)
 
 
 def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
-    """``paper`` is the published schedule; the others are for CPUs, measured in docs/decisions:
-    they start with coarser photos, where these are large enough, and with temperatures as photos
-    have them, to which t̂ is fitted at full scale. Half the published width of the heads is as
-    good."""
+    """``paper`` is the published schedule; the others are for CPUs (docs/decisions, 008, 011, 017,
+    039 and 040): they start with coarser photos, where these are large enough, and with
+    temperatures as photos have them, to which t̂ is fitted at full scale. Half the published width
+    of the heads is as good."""
     config = replace(config, preset=preset)
     if preset == "paper":
         return config
@@ -349,7 +348,7 @@ def with_flat_field(config: TrainConfig, folder: Path, unit: str | None = None) 
 
 def _with_batch(config: TrainConfig, batch: int) -> TrainConfig:
     """The same number of views in steps of several: what is counted in steps shrinks as the batch
-    grows, and learning rates grow with its square root (docs/decisions)."""
+    grows, and learning rates grow with its square root (docs/decisions, 040)."""
     if batch < 1:
         raise ConfigError(f"batch must be at least 1, not {batch}", options=("batch",))
     config = with_steps(config, max(1, round(config.max_steps / batch)))

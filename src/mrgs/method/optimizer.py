@@ -30,8 +30,7 @@ class OptimizerConfig:
         sh_dc: of the colour coefficient of degree 0, and of that of any further modality.
         sh_rest: of their coefficients of higher degrees.
         temperature_rest: of the temperature's higher degrees, where it has them.
-        embedding: of e_m.
-        uncertainty: of ψ.
+        embedding, uncertainty: of e_m, and of ψ.
         slowdown_from: share of the training after which all rates but that of the means fall.
         slowdown_to: the share of the rates that is left at the last step.
     """
@@ -77,8 +76,7 @@ class OptimizerConfig:
         return math.exp((1 - progress) * start + progress * end)
 
     def slowdown_at(self, progress: float) -> float:
-        """Factor on all learning rates but the means' after this share of the training; falls
-        log-linearly."""
+        """Factor on all rates but the means' at this share of the training; log-linear."""
         if progress <= self.slowdown_from:
             return 1.0
         return self.slowdown_to ** ((progress - self.slowdown_from) / (1 - self.slowdown_from))

@@ -1,4 +1,4 @@
-"""The parts that the paper adds to a model: how much each says, and the model without it."""
+"""The parts that the paper adds to a model: how much each contributes, and the model without it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mrgs.scene import TemperatureRange
 
 class PartSpreads(NamedTuple):
     """How much the parts of a model differ from Gaussian to Gaussian: a part that is the same for
-    all says nothing.
+    all contributes nothing.
 
     Attributes:
         temperature_residual: standard deviation of t̂, normalised temperature.
@@ -83,8 +83,7 @@ class _NoHeatTransformation(FourierHeatTransformation):
 def knock_outs(model: Model) -> Mapping[str, Model]:
     """A trained model with one part knocked out in each copy; none for a field without residuals:
     ``temperature_residual``: t̂ is its mean; ``heat_exchange``: F' = F; ``shuffled_neighbours``:
-    each Gaussian has another one's; ``color_residual``: ĉ = 0. A part that costs nothing is
-    dead."""
+    each Gaussian has another one's; ``color_residual``: ĉ = 0. A part without effect is unused."""
     field = model.field
     if not field.config.residuals:
         return {}

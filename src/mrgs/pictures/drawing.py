@@ -33,7 +33,7 @@ _MINUS_SHARE = 0.09
 """Thickness of a minus sign, as a share of the size of the text."""
 
 _KNOWN = f"°±·{MINUS}"
-"""Beyond ASCII."""
+"""Characters beyond ASCII that are kept: the font has three, the minus sign is drawn."""
 
 _REPLACED = str.maketrans(
     {"–": "-", "—": "-", "×": "x", "∞": "inf", "ß": "ss", "œ": "oe", "Œ": "Oe"}
@@ -179,7 +179,7 @@ MANY = 15
 """Names from which on they are written in smaller letters."""
 
 MOST_STEPS = 6
-"""Heights of a name that it may stand away from its place."""
+"""Largest distance of a name from its place, in heights of the name."""
 
 RING_PX = 13
 """Radius of a place that no name covers."""

@@ -40,7 +40,7 @@ STAGE_SCRIPTS = (
     "pictures/web/isotherm.js",
     "pictures/web/marks.js",
 )
-"""Scripts of the same: reading facts, where the camera is, the scale beside it, the marks."""
+"""Scripts of all pages with a 3D view: facts, navigation, colour scale, isotherm, marks."""
 
 PALETTE_CHOICES: tuple[PaletteName, ...] = tuple(
     name for name in PALETTES if name not in ("depth", "error")

@@ -93,8 +93,7 @@ def take_in(source: Path, options: PrepareOptions, progress: Progress | None = N
     """Look at a folder of photos, or at a scene or its transforms file; nothing is written. The
     progress is called with a step's name, the number of files that are done, and of all. SceneError
     if the folder cannot be used: not there, no photos, too few pairs, or a thermal photo that
-    cannot be read. ConfigError for an option that does not fit the photos, or one for photos where
-    this is a scene."""
+    cannot be read. ConfigError for an option that does not fit the photos or the scene."""
     if not is_scene(source):
         if not source.is_dir():
             raise scene_error(source, "not a folder; give the folder of the photos, or a scene")
@@ -292,8 +291,7 @@ class Monitor:
 
     def progress(self, part: str, done: int, total: int, left_s: float | None) -> None:
         """Called while the photos are inspected, and while a stage runs: the finished items of a
-        part, all of its items, 0 if not known, and the seconds until the stage is finished, None if
-        not known."""
+        part, all of its items, 0 if not known, and the stage's seconds left, None if not known."""
 
     def prepared(self, report: StageReport) -> None:
         """Called with the result of each part of the first stage."""

@@ -262,7 +262,7 @@ class Job:
 
 
 def _named_parts(report: Report) -> Callable[[int, int, str], None]:
-    """For work that reports its parts as they begin, by number and name."""
+    """A callback for work that reports its parts as they begin, by number and name."""
     return lambda number, total, name: report(name, 0, 0)
 
 

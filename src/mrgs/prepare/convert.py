@@ -63,7 +63,7 @@ Orientations = Mapping[Modality, int]
 _SUFFIXES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}
 
 LYING = 5
-"""From this EXIF orientation on, rows and columns change places in the upright image."""
+"""EXIF orientation from which on rows and columns change places in the upright image."""
 
 
 @dataclass(frozen=True)

@@ -67,18 +67,16 @@ class Geometry(NamedTuple):
 
     @classmethod
     def of(cls, gaussians: Gaussians) -> Geometry:
-        """That of a model."""
+        """The geometry of a model."""
         return cls(gaussians.means, gaussians.quats, gaussians.scales)
 
 
 class Projection(NamedTuple):
-    """A camera, as a rasterizer sees it.
+    """A camera, as a rasterizer sees it; sizes in pixels.
 
     Attributes:
         viewmat: world to camera (OpenCV axes), [4, 4].
         K: intrinsics in pixels, [3, 3]; pixel centres lie at +0.5.
-        width: pixels.
-        height: pixels.
         dilation_px2: d, above 0.
     """
 
@@ -117,7 +115,7 @@ class Raster(NamedTuple):
 
 
 LEAST_DILATION_PX2 = 0.01
-"""With less, the edges of needles would show the 1/256 px to which WebGL rounds places."""
+"""Least dilation: with less, edges of needles would show the 1/256 px to which WebGL rounds."""
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,10 @@ class _PoseGradient(torch.autograd.Function):
         centre = -rotation.T @ viewmat[:3, 3]
         force = grad_means.sum(dim=0).to(viewmat)
         torque = torch.linalg.cross(means - centre.to(means), grad_means).sum(dim=0)
-        torque = torque + 0.5 * _torques(quats, grad_quats).sum(dim=0)
+        w, v, grad_w, grad_v = quats[:, :1], quats[:, 1:], grad_quats[:, :1], grad_quats[:, 1:]
+        # By rotation vectors ω, with dq = ½ (0, ω) q.
+        turning = w * grad_v - grad_w * v + torch.linalg.cross(v, grad_v)
+        torque = torque + 0.5 * turning.sum(dim=0)
         torque = torque.to(viewmat) + torch.linalg.cross(centre, force)
         # The world's motion (ω, τ) changes R by R [ω]× and t by R τ, and the loss by torque · ω +
         # force · τ, which this gradient gives.
@@ -56,10 +59,3 @@ class _PoseGradient(torch.autograd.Function):
         grad[:3, :3] = 0.5 * rotation @ cross_matrix(torque)
         grad[:3, 3] = rotation @ force
         return grad_means, grad_quats, grad
-
-
-def _torques(quats: Float[Tensor, "n 4"], grads: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3"]:
-    """Gradients of rotation vectors ω in dq = ½ (0, ω) q, without the half, [N, 3]."""
-    w, v = quats[:, :1], quats[:, 1:]
-    grad_w, grad_v = grads[:, :1], grads[:, 1:]
-    return w * grad_v - grad_w * v + torch.linalg.cross(v, grad_v)

@@ -358,7 +358,8 @@ LEAST_PHOTOS = 2
 """Number of photos that must see a proposed place."""
 
 LEAST_CERTAINTY, LARGEST_UNCERTAINTY_C = 10.0, 5.0
-"""Least contrast of a proposed place in multiples of its uncertainty, and the largest of these."""
+"""Least contrast of a proposed place in multiples of its uncertainty, and the largest uncertainty,
+K."""
 
 
 class Anomaly(NamedTuple):

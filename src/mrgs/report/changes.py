@@ -68,8 +68,8 @@ LEAST_PX = 3.0
 """Width of a change, in pixels of the photos: a camera measures nothing narrower."""
 
 CERTAIN = 2.0
-"""Multiple of its ± by which a place must have changed: ± holds 95 of 100 places, and thousands are
-searched."""
+"""Multiple of its ± by which a place must have changed: ± covers 95 % of places, and of thousands
+searched some exceed it by chance."""
 
 RING_PX = 4.0
 """Width of the surroundings of a change, in pixels of the photos."""
@@ -149,8 +149,8 @@ class _Date:
         return self.dated(found)
 
     def dated(self, uncertainty: Uncertainty) -> Uncertainty:
-        """With the input quantities of this date told from those of the other: a surface keeps its
-        emissivity, and a camera its calibration."""
+        """The ± with the input quantities of this date told from those of the other: a surface
+        keeps its emissivity, and a camera its calibration."""
         kept = {"emissivity"} | ({"camera"} if self.same_camera else set())
         shared = {
             each if each.name in kept else each._replace(name=f"{each.name} {self.number}"): part
@@ -356,7 +356,8 @@ class Surface:
 
     @cached_property
     def certain(self) -> Values:
-        """The same, as far as no place of the other date within reach has such a temperature."""
+        """ΔT without the common change, as far as no place of the other date within reach has such
+        a temperature."""
         (low, high), (lowest, highest) = map(self._extremes, (self.before, self.after))
         shift = self.common
         up = np.maximum(self.after - high - shift, lowest - self.before - shift)

@@ -64,7 +64,7 @@ def contents_of(run: Run, scene: Scene, survey: Survey, t: Texts, appendix: bool
 
 LEAST_DIFFERENCE_K = 10.0
 MOST_PIXEL_CM = 3.0
-"""So that a cell of a module is five pixels wide."""
+"""Widest pixel on solar modules, cm: a cell then spans about five."""
 
 ONE_DECIMAL = ("°C", "K", "m/s")
 """Units whose values always have a decimal."""
@@ -154,7 +154,8 @@ def _given(value: float | None, unit: str) -> str:
 
 
 def _rounded(value: float) -> float:
-    """As it is shown, so that what is judged is what is read; without a minus before 0."""
+    """The value as it is shown, so that what is judged is what is read; without a minus before
+    0."""
     return round(value, 1) + 0.0
 
 

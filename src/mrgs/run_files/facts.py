@@ -25,7 +25,7 @@ SAME = 1e-6
 """Relative difference up to which cameras count as equal: other machines round differently."""
 
 ROUNDING = 1e-9
-"""The same relative to the largest of the compared numbers, for numbers near 0."""
+"""The same difference relative to the largest of the compared numbers, for numbers near 0."""
 
 _READERS = 4
 """Number of threads that read photos."""
@@ -228,8 +228,8 @@ def _mismatches(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str
     thermal = [THERMAL in view.images for view in scene.train]
     if (facts.capture.views, len(facts.images)) != (len(scene.train), count):
         yield (
-            f"has {len(scene.train)} training views of {count} images, not the "
-            f"{facts.capture.views} that the run was trained with",
+            f"has {len(scene.train)} training views of {count} images, not "
+            f"{facts.capture.views} of {len(facts.images)} as the run was trained with",
             _AS_IT_WAS,
         )
     elif thermal != [point is not None for point in facts.capture.thermal_viewpoints]:

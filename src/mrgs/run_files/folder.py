@@ -32,7 +32,7 @@ from mrgs.system.wording import listed
 CHECKPOINTS_KEPT = 2
 
 Pictures: TypeAlias = Mapping[str, UInt8[np.ndarray, "h w 3"]]
-"""By name."""
+"""Pictures for TensorBoard by name, 8-bit RGB."""
 
 TENSORBOARD = "tensorboard"
 """Folder of the log for TensorBoard, in the run's folder."""

@@ -79,10 +79,10 @@ def train(
         plain: run the plain definitions of all operations instead of kernels, much slower; so does
             the environment variable MRGS_PLAIN=1.
         tensorboard: also write the log to the run's folder ``tensorboard``.
-        eval_steps: score the held-out views after every so many steps, and after the last, by the
-            metrics of ``evaluate_run`` without LPIPS; the scores are written to the log, pictures
-            of a few views to that for TensorBoard. Changes nothing else; its time does not count
-            as the training's. None scores none.
+        eval_steps: steps between scorings of the held-out views, which are also scored after the
+            last, by the metrics of ``evaluate_run`` without LPIPS; the scores are written to the
+            log, pictures of a few views to that for TensorBoard. Changes nothing else; its time
+            does not count as the training's. None scores none.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         strategy: density control instead of the configuration's; a resumed run needs it again.
         terms: of the loss, besides the configuration's; one with the name of such a term takes its

@@ -18,8 +18,7 @@ from mrgs.system.typed_json import Finite
 
 
 class Atmosphere(NamedTuple):
-    """Constants of the transmission of air, as FLIR's cameras store them; ``x`` weighs the two
-    exponentials."""
+    """Constants of air's transmission, as in FLIR's files; ``x`` weighs the two exponentials."""
 
     alpha1: float
     alpha2: float
@@ -48,7 +47,7 @@ LEAST_TRANSMISSION = 0.01
 """The empirical formula falls below 0 in kilometres of damp air."""
 
 DELIVERED_C = 20.0
-"""For which temperature of air and reflection cameras are set when they are delivered."""
+"""Temperature of air and reflection for which cameras are set when they are delivered, °C."""
 
 
 def usual_parameters(records: Iterable[PhotoRecord]) -> ObjectParameters | None:
@@ -66,8 +65,7 @@ class AirPath(NamedTuple):
 
     Attributes:
         decay1, decay2: of τ(D) = x exp(−decay1 √D) + (1 − x) exp(−decay2 √D), 1 / √m.
-        noted: τ(d).
-        added: A.
+        noted, added: τ(d) and A.
         farthest: distance, m, beyond which there is only background, the sky for instance, of which
             a photo says what reaches the camera through all of the air.
     """
@@ -86,7 +84,7 @@ class AirPath(NamedTuple):
         radiance: BandRadiance | None,
         farthest: float = math.inf,
     ) -> AirPath | None:
-        """That of a scene's photos; None where their parameters are not known, or the air is as
+        """The air of a scene's photos; None where their parameters are not known, or the air is as
         the camera was delivered: what a path of tens of metres of it would add is not known."""
         records = list(records)
         noted = usual_parameters(records)

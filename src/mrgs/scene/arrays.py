@@ -107,8 +107,7 @@ def _tensor_of(array: Array | float, name: str) -> Tensor:
 
 
 def _plain(array: NDArray[Any] | Sequence[Any] | float) -> NDArray[Any]:
-    """An array that torch can share: in order, writable, in the machine's byte order, without a
-    mask."""
+    """An array that torch can share: in order, writable, of the machine's byte order, unmasked."""
     try:
         values = np.asanyarray(array)
     except (RuntimeError, TypeError):  # of a list with tensors that have gradients, or on a GPU

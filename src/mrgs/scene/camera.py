@@ -22,13 +22,11 @@ from mrgs.scene.rotations import (
 )
 
 MIN_DEPTH = 1e-6
-"""Scene units; a point nearer to the plane through the camera's centre may lie on either side of
-it, by rounding."""
+"""Scene units; a point nearer to the camera's plane may be on either side of it, by rounding."""
 
 
 class CameraTensors(NamedTuple):
-    """A camera's numbers where they are computed with: K [3, 3], viewmat [4, 4] and position [3],
-    see ``Camera``."""
+    """A camera's numbers on a device: K [3, 3], viewmat [4, 4] and position [3], see ``Camera``."""
 
     K: Float[Tensor, "3 3"]
     viewmat: Float[Tensor, "4 4"]
@@ -128,8 +126,7 @@ class Camera:
         return f"Camera({self.width}×{self.height}, {fov:.0f}° wide, at {x:.3g}, {y:.3g}, {z:.3g})"
 
     def tensors(self, device: torch.device, dtype: torch.dtype = torch.float64) -> CameraTensors:
-        """The camera on a device; kept, because to copy it for every image would make the host wait
-        for a GPU."""
+        """The camera on a device; kept, because a copy for each image makes the host wait."""
         if (device, dtype) not in self._tensors:
             own = self.K, self.viewmat, self.position
             copies = (tensor.to(device, dtype, copy=True) for tensor in own)
@@ -242,8 +239,7 @@ class Camera:
         return MovedCamera(self, motion)
 
     def coincides_with(self, other: Camera) -> bool:
-        """Whether both cameras see the same rays on the same pixel grid, so that one pass can serve
-        both."""
+        """Whether both cameras see the same rays on the same grid, so that one pass serves both."""
         return (
             (self.width, self.height) == (other.width, other.height)
             and torch.equal(self.K, other.K)

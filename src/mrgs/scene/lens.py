@@ -30,8 +30,7 @@ from mrgs.scene.camera import Camera
 Array = NDArray[np.float64]
 
 WIDEST_ANGLE_DEG = 70.0
-"""Rays farther from the optical axis are left out: a pinhole image there is mostly stretched
-border."""
+"""Rays farther off the optical axis are left out: a pinhole image is mostly stretched there."""
 
 _FOLD_ANGLES = 256
 _FOLD_RADII = 512
@@ -40,8 +39,7 @@ _EDGE_SAMPLES = 128
 _BORDER_TOLERANCE_PX = 0.02
 _ROWS_AT_ONCE = 256
 _MIN_KEPT = 0.25
-"""The pinhole image spans at least this share of the lens's image (as if undistorted) in each
-direction."""
+"""Least share of the (undistorted) lens's image that the pinhole's spans in each direction."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ SMALLEST_OPACITY, MOST_OPACITY = 1e-6, 0.99
 """Their logits are finite."""
 
 SMALLEST_SCALE = 1e-9
-"""In scene units; keeps the logarithm finite where all of a cell's Gaussians lie in a plane."""
+"""Smallest scale, scene units; keeps the logarithm finite for cells with Gaussians in a plane."""
 
 _ENOUGH = 0.8
 """A grid is fine enough if it gives this share of the Gaussians that are asked for."""

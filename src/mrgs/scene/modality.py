@@ -57,8 +57,7 @@ class Modality:
 
     @property
     def is_metric(self) -> bool:
-        """Whether the values measure one quantity in a unit; if not, they are intensities, shown as
-        they are."""
+        """Whether the values measure a quantity in a unit; else they are shown as intensities."""
         return self.unit is not None and self.channels == 1
 
     @property
@@ -74,7 +73,7 @@ class Modality:
     @classmethod
     def from_json(cls, value: object) -> Modality:
         """A modality from a JSON object with ``name`` and ``channels``; ``unit`` and ``title`` may
-        be left out. ValueError if the value is none."""
+        be left out. ValueError for any other value."""
         try:
             return from_json(cls, value)
         except ValueError as error:

@@ -18,7 +18,7 @@ NEAREST, FARTHEST = 0.5, 4.0
 """Range of the random points' depths, as multiples of the depth at which the cameras look."""
 
 GREY = 0.5
-"""Of points whose colours are not known."""
+"""Grey of points whose colours are not known."""
 
 
 @dataclass(frozen=True, eq=False)

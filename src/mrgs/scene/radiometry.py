@@ -169,14 +169,15 @@ class Planck:
 
 
 TYPICAL_WAVELENGTH_UM = 10.0
-"""In the middle of what uncooled thermal cameras see, 7.5 to 13 µm."""
+"""The middle of what uncooled thermal cameras see, 7.5 to 13 µm."""
 
 TYPICAL_LAW = Planck(1.0, 1.0, 14_387.77 / TYPICAL_WAVELENGTH_UM, 1.0, 0.0)
-"""Where a camera's own constants are not known: black bodies at that wavelength. The mean of two
-temperatures from −40 to 80 °C differs by 0.8 K at most from that of the whole band."""
+"""The law where a camera's own constants are not known: black bodies at that wavelength. The mean
+of two temperatures from −40 to 80 °C differs by 0.8 K at most from that of the whole band."""
 
 COLDEST_K, LARGEST_EXPONENT = 150.0, 80.0
-"""Of what is blended as radiance: below, it is next to none, and float32 does not hold it."""
+"""Lowest temperature blended as radiance, K, and largest b / K. Beyond either, radiance is
+negligible and float32 cannot represent it."""
 
 
 @dataclass(frozen=True)
@@ -205,8 +206,8 @@ class BandRadiance:
     def of(
         cls, temperature: TemperatureRange | None, law: Planck | None = None
     ) -> BandRadiance | None:
-        """That of values on a scale, by the calibration of the camera if it is known; None without
-        a scale, or for one that is colder than what thermal cameras see."""
+        """The radiance of values on a scale, by the calibration of the camera if it is known; None
+        without a scale, or for one that is colder than what thermal cameras see."""
         if temperature is not None:
             with suppress(ValueError):
                 return cls(temperature.to_kelvin(0.0), temperature.span_c, (law or TYPICAL_LAW).b)
@@ -234,7 +235,7 @@ class BandRadiance:
 
     @property
     def least(self) -> float:
-        """That radiance, with ``offset``."""
+        """The least radiance, with ``offset``."""
         return self.gain * self._unscaled(self.coldest_k)
 
     @cached_property
@@ -344,7 +345,7 @@ class PhotoRecord:
     @classmethod
     def from_json(cls, value: Any) -> PhotoRecord:
         """A record from its JSON form; entries of newer versions are ignored. ValueError, one
-        sentence, if the value is none."""
+        sentence, if the value is not a record."""
         record = from_json(cls, value)
         for found in (record.parameters, record.planck):
             if found is not None and (problem := found.problem()):

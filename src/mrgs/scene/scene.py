@@ -82,7 +82,7 @@ class Scene:
         The images are not copied where they need not be; do not change them while the scene is in
         use. °C are scaled to the range of all views, rounded outwards to whole degrees. NaN and
         masked elements (``np.ma``) are pixels that are not known, and images without a known pixel
-        count as none. What is None or empty is not there.
+        count as missing, as do None and empty arguments.
 
         Args:
             cameras: of the views, one each, in the order of the images; of the RGB images, and of
@@ -159,7 +159,7 @@ class Scene:
 
     @property
     def reach(self) -> SceneBounds:
-        """Its bounds; there must be start points."""
+        """The scene's bounds; there must be start points."""
         return SceneBounds.of(self.points.positions, self.train_cameras)
 
     @property
@@ -377,8 +377,7 @@ def _posed(
 
 
 def _load(image: Tensor, temperature: TemperatureRange | None, lens: Lens | None) -> Pixels:
-    """Colours, or °C with a scale; valid are pixels that the lens sees and that are finite in all
-    channels."""
+    """Colours, or °C with a scale; valid are pixels in the lens's view with finite channels."""
     if temperature is None:
         values = _as_shares(image)
     else:

@@ -40,8 +40,8 @@ class PosedImage:
             same bits.
         files: what ``load`` reads; empty where it reads no file.
         record: what the camera noted beside the photo; None if that is not known.
-        load_at_least: as ``load``, of the same field of view in fewer pixels, but at least so many
-            across; None where that would not be faster.
+        load_at_least: as ``load``, with the same field of view in fewer pixels, but at least the
+            given number across; None where that would not be faster.
     """
 
     camera: Camera

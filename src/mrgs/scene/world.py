@@ -1,5 +1,4 @@
-"""The world of a scene: its frame, its bounds, behind which photos show the background, and
-boxes in it."""
+"""The world of a scene: its frame, its bounds, with the background beyond, and boxes in it."""
 
 from __future__ import annotations
 

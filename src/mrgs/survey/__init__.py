@@ -34,8 +34,8 @@ def _stated(label: str = "", unit: str = "", low: float = 0.0, high: float = 0.0
 
 @dataclass(frozen=True)
 class Survey:
-    """What the inspector states; None for what is not stated. Numbers are in the unit, and between
-    the limits, that stand behind their label. ConfigError for a value that cannot be.
+    """What the inspector states; None for what is not stated. Numbers are in the unit and between
+    the limits that follow their label. ConfigError for a value that cannot be.
 
     Attributes:
         qualification: the inspector's, such as "ISO 9712 level 2".
@@ -139,9 +139,9 @@ class Survey:
         return any(value is not None for value in asdict(self).values())
 
     def stating(self, assignments: Sequence[str], source: str) -> Survey:
-        """This survey with other values of some fields. ConfigError if an assignment is none, names
-        no field, or has a value that cannot be. ``assignments`` are ``NAME=VALUE`` each, the value
-        as in YAML; an empty one takes it back."""
+        """This survey with other values of some fields. ConfigError if an assignment lacks its =,
+        names no field, or has a value that cannot be. ``assignments`` are ``NAME=VALUE`` each, the
+        value as in YAML; an empty one takes it back."""
         hints = get_type_hints(Survey)
         stated: dict[str, Any] = {}
         for text in assignments:

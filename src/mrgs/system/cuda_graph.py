@@ -69,8 +69,7 @@ _sync_debug = RLock()
 @contextmanager
 def sync_debug_mode(mode: Literal["warn", "error"], cuda: Any = torch.cuda) -> Iterator[None]:
     """Within this block, torch reports operations that make the host wait for the GPU, by a warning
-    or a RuntimeError. The mode applies to all threads; blocks of different threads wait for each
-    other."""
+    or a RuntimeError. The mode applies to all threads; their blocks wait for each other."""
     with _sync_debug:
         before = cuda.get_sync_debug_mode()
         try:

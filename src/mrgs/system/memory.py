@@ -67,7 +67,7 @@ CHUNK_ROWS = 65_536
 
 
 def row_chunks(count: int) -> Iterator[slice]:
-    """The rows 0 to ``count`` in order, ``CHUNK_ROWS`` at a time; one empty piece of none."""
+    """The rows 0 to ``count`` in order, ``CHUNK_ROWS`` at a time; for 0 one empty slice."""
     for start in range(0, max(count, 1), CHUNK_ROWS):
         yield slice(start, min(start + CHUNK_ROWS, count))
 

@@ -139,8 +139,7 @@ def operation(plain: Callable[P, R]) -> Operation[P, R]: ...
 def operation(*, measure: Callable[..., Tensor]) -> Callable[[Callable[P, R]], Operation[P, R]]: ...
 def operation(plain: Any = None, *, measure: Any = None) -> Any:
     """Mark the plain definition of an operation, which kernels may replace; ``measure`` turns a
-    result and the arguments into what a check compares, for results that can be written in several
-    ways."""
+    result and the arguments into what a check compares, for results with several forms."""
     return partial(Operation, measure=measure) if plain is None else Operation(plain, measure)
 
 

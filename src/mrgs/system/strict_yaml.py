@@ -1,5 +1,4 @@
-"""Dataclasses as YAML and back, strictly: a misspelt field must not be ignored; and ranges of their
-values."""
+"""Dataclasses as YAML and back, strictly: no misspelt field is ignored; and ranges of values."""
 
 from __future__ import annotations
 
@@ -81,8 +80,8 @@ def _parsed(text: str) -> Any:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Refuses keys that stand twice in a mapping, of which others take the last, and what makes a
-    short text a large value, or a slow one: aliases, merges and deep lists."""
+    """Refuses duplicate keys of a mapping, of which others take the last, and what makes a short
+    text a large value, or a slow one: aliases, merges and deep lists."""
 
     depth = 0
 
@@ -106,7 +105,7 @@ class _StrictLoader(yaml.SafeLoader):
             if not isinstance(key, yaml.ScalarNode):
                 raise yaml.YAMLError("a key is no plain value")
             if (key.tag, key.value) in seen:
-                raise yaml.YAMLError(f"the key {shown(key.value)} stands twice")
+                raise yaml.YAMLError(f"duplicate key {shown(key.value)}")
             seen.add((key.tag, key.value))
         return super().construct_mapping(node, deep)
 
@@ -170,7 +169,9 @@ def convert(hint: Any, value: Any, source: str) -> Any:
             )
         return value
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        return _finite(value, source)
+        if not -sys.float_info.max <= value <= sys.float_info.max:
+            raise ConfigError(f"{source} must be a finite number, not {shown(value)}")
+        return float(value)
     if hint is datetime.date:
         return _day(value, source)
     if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
@@ -191,12 +192,6 @@ def _day(value: Any, source: str) -> datetime.date:
             f"{source} must be a day such as 2026-05-01, without a time, not "
             f"{shown(value if isinstance(value, int) else str(value))}"
         ) from None
-
-
-def _finite(value: int | float, source: str) -> float:
-    if not -sys.float_info.max <= value <= sys.float_info.max:
-        raise ConfigError(f"{source} must be a finite number, not {shown(value)}")
-    return float(value)
 
 
 MOST_STEPS = 10**9

@@ -17,7 +17,7 @@ Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys
 """A number that is neither NaN nor infinite."""
 
 NotNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=sys.float_info.max)]
-"""The same, and at least 0."""
+"""A finite number of at least 0."""
 
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
 

@@ -92,10 +92,10 @@ def warn_of_missing(custom_parts: Iterable[str]) -> None:
 def check_kernels(
     state: TrainingState, scene: Scene, config: TrainConfig, scale: SceneScale
 ) -> None:
-    """Take the forward pass of a training step on a sample of the model, and compare each kernel
-    with its plain definition: values and gradients. A MrgsWarning if one differs, which is not used
-    any more in this process (``operation.checking``). The state is left as it is. Photos of all
-    modalities are random numbers, once with masks and once without."""
+    """Take the forward pass of a training step on a sample of the model, and a step of Adam, and
+    compare each kernel with its plain definition: values and gradients. A MrgsWarning if one
+    differs, which is not used any more in this process (``operation.checking``). The state is left
+    as it is. Photos of all modalities are random numbers, once with masks and once without."""
     scale = scale._replace(thermal_noise=max(scale.thermal_noise, NOISE))
     generator, device = torch.Generator().manual_seed(0), state.device
     missing = {modality for view in scene.train for modality in view.images}
@@ -144,8 +144,7 @@ def _check_optimizer(device: torch.device, generator: torch.Generator) -> None:
 def check_rendering(model: Model, image_model: ImageModel, *devices: torch.device) -> None:
     """Render a sample of a trained model by a new camera, on the devices where it will be rendered,
     and compare each kernel with its plain definition. A MrgsWarning if one differs, which is not
-    used any more in this process (``operation.checking``). The image model is in the host's
-    memory."""
+    used any more in this process (``operation.checking``). The image model is on the host."""
     if len(model.gaussians) == 0:
         return
     sample = _sampled(model, None, model.sh_degree)

@@ -36,9 +36,9 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Validation:
-    """Scoring of the held-out views while a model is trained, after ``every`` so many steps and
-    after the last. ``score`` returns numbers by name for the log and pictures for TensorBoard, and
-    leaves the training as it is. ConfigError if ``every`` is not a whole number from 1."""
+    """Scoring of the held-out views while a model is trained, every ``every`` steps and after the
+    last. ``score`` returns numbers by name for the log and pictures for TensorBoard, and leaves the
+    training as it is. ConfigError if ``every`` is not a whole number from 1."""
 
     every: int
     score: Callable[[Trainer], tuple[Mapping[str, float], Pictures]]
@@ -131,7 +131,7 @@ class Trainer:
             except (DeviceError, RuntimeError) as error:
                 if not isinstance(error, DeviceError) and not lacks_memory(error):
                     raise
-                # Without the step, so that a full memory is said once and not at every scoring.
+                # Without the step, so that a full memory is reported once and not at every scoring.
                 warn_user(
                     f"{self.scene.name}: held-out views were not scored: the GPU's memory does not "
                     f"suffice for it beside the training, which goes on; score the finished run"

@@ -79,7 +79,6 @@ def training_bytes(
     """``estimate_bytes`` of a scene of which only this is known.
 
     Args:
-        gaussians: how many.
         pixels: of all images of the largest view.
         photo_bytes: what the training photos take if all of them are kept.
         capture: of the photos; None for the most that the configuration allows.

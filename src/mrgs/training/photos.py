@@ -16,15 +16,15 @@ from mrgs.system.gpu import HOST
 from mrgs.system.memory import free_memory, give_back_freed
 
 SHARE_OF_FREE_MEMORY = 0.4
-"""Of what is free when the training starts; the Gaussians and a step need the rest."""
+"""Share of the memory free at the start that photos may take; Gaussians and steps need the rest."""
 
 SHARE_OF_GPU_MEMORY = 0.25
-"""Of a GPU's free memory at the start, for photos: the Gaussians, which grow, take the rest."""
+"""The same share of a GPU's memory: the Gaussians, which grow, take the rest."""
 
 LIMIT_IF_UNKNOWN = 2 * 2**30
 
-LOOKED_AT_PX = 600
-"""A photo at least this wide shows how its pixels are stored."""
+PROBE_PX = 600
+"""Least width at which a photo is read to see how its pixels are stored."""
 
 _BLOCK_BYTES = 64 * 2**20
 """The C library gets a block of this size from the system, not from its heap."""
@@ -123,7 +123,7 @@ class _Stored(NamedTuple):
 
     @classmethod
     def of(cls, pixels: Pixels, exact: bool = False) -> _Stored:
-        """From the pixels; ``exact`` keeps the values as they are."""
+        """The stored form of pixels; ``exact`` keeps the values as they are."""
         levels = None if exact else eight_bit_levels(pixels.values)
         return cls(pixels.values if levels is None else levels, pixels.valid)
 
@@ -172,7 +172,7 @@ def kept_bytes(scene: Scene) -> int:
     total = 0.0
     for modality in scene.modalities:
         photos = scene.train_photos(modality)
-        pixels = photos[0].look(LOOKED_AT_PX)
+        pixels = photos[0].look(PROBE_PX)
         size = _Stored.of(pixels).nbytes / pixels.values[..., 0].numel()
         total += size * sum(each.camera.width * each.camera.height for each in photos)
     return round(total)

@@ -30,7 +30,8 @@ SPARE = 1.25
 """Room of the lists of a recorded pass, in lengths of the longest one so far: views differ."""
 
 MOST_RECORDINGS = 8
-"""At a time; each keeps the memory of a pass. Views of more kinds than this are not recorded."""
+"""Largest number of recordings at a time; each keeps the memory of a pass. Views of more kinds than
+this are not recorded."""
 
 STALE_AFTER = 1000
 """Runs after which an unused recording makes room for another."""
@@ -91,8 +92,7 @@ class Recorder:
         return recording.replay(self._parameters)
 
     def counted(self, finite: Bool[Tensor, ""]) -> Bool[Tensor, ""]:
-        """Whether a step counts: it is finite, and the lists of its pass had room; on the
-        device."""
+        """Whether a step is finite, and the lists of its pass had room; on the device."""
         return finite if self._replayed is None else finite & self._replayed.suffices
 
     def had_room(self) -> bool:

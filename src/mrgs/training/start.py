@@ -151,7 +151,7 @@ def open_training(
         folder.note_custom_parts(_custom_parts(config, loaded, custom, terms))
         most = max(config.densification.max_gaussians, len(state.model.gaussians))
         size = checkpoint_bytes(config, loaded.modalities, most)
-        # Those that are kept, and the one being written.
+        # The kept checkpoints and the one being written.
         warn_if_short(folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")
         if part is not None:
             state.sampler.restrict(part.views)

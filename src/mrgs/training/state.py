@@ -90,8 +90,7 @@ class TrainingState:
         terms: of the loss, with their learned parameters.
         image_model: what the cameras do to the images.
         layer_optimizer: Adam over the layers of the terms, the field and the image model.
-        strategy: density control.
-        strategy_state: what it remembers.
+        strategy_state: what the density control remembers.
         sampler: the order of the views.
         generator: of every random choice after the start.
         skipped_in_a_row: steps skipped since the last good one, because of a value that was not

@@ -36,9 +36,7 @@ class ViewInputs(NamedTuple):
 
     Attributes:
         number: the view's place among the training views, on the device.
-        cameras: by modality.
-        photos: of these cameras.
-        pixel_sizes: of these photos, in pixels of the scene's.
+        pixel_sizes: of the photos, in pixels of the scene's.
         terms: of the loss, those that are due.
         weights: λ of each of these terms, by name.
         temperature_degree: highest degree of the temperature's harmonics that counts; 0 where it

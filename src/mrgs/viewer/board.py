@@ -113,8 +113,7 @@ class MarkBoard:
         at_once: bool,
     ) -> float:
         """What a spot at a pixel (column, row) of a picture with these z-depths would read; NaN
-        where no photo sees it, the model changes, or, ``at_once``, no mark or point has been read
-        yet."""
+        where no photo sees it, the model changes, or, ``at_once``, nothing has been read yet."""
         if at_once and not self._meter.survey.maps:
             return np.nan
         return self.picker.temperature(camera, depth, pixel, self.regions)

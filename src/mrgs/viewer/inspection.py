@@ -1,5 +1,4 @@
-"""State and actions of one viewer session, without a browser: pictures, readings, marks,
-keyframes."""
+"""State and actions of a viewer session, without browser: pictures, readings, marks, keyframes."""
 
 from __future__ import annotations
 

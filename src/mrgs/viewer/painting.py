@@ -253,8 +253,7 @@ def pane_scale(pane: Pane, scales: Scales) -> Scale | None:
 
 
 def seen_labels(pane: Pane, images: PaneImages, labels: Sequence[MarkLabel]) -> list[SeenLabel]:
-    """Where a pane shows marks; without marks that have no visible corner, or reach behind the
-    camera."""
+    """Where a pane shows marks; without those that have no visible corner, or reach behind it."""
     found = []
     for each in labels:
         pixels, _ = pane.camera.project(torch.from_numpy(each.corners))

@@ -156,8 +156,7 @@ ShownImage: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]
 class PaneImages:
     """Images of one pane, all of the same size: colours [h, w, 3], values in their unit or their
     differences to the photo [h, w], NaN where the photo is masked; z-depth of the model in scene
-    units, NaN where it is empty, None where it is not known; and where model or photo show
-    something."""
+    units, NaN where it is empty, None if not known; and where model or photo show something."""
 
     images: Mapping[Modality, ShownImage]
     depth: Float[np.ndarray, "h w"] | None
@@ -189,8 +188,8 @@ def render_pane(
 def shown_image(
     modality: Modality, image: Float[Tensor, "h w c"], temperature: TemperatureRange | None
 ) -> ShownImage:
-    """A modality's image [H, W, C] as colours [H, W, 3]; of one channel, as values in its unit
-    [H, W]."""
+    """A modality's image [H, W, C] as colours [H, W, 3]; one channel as values in its unit, [H,
+    W]."""
     one = modality.channels == 1
     return shown_values(modality, image, temperature) if one else to_rgb8(image)
 

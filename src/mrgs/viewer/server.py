@@ -93,12 +93,11 @@ class LiveView:
     def __init__(
         self,
         output: str | Path,
-        host: str = DEFAULT_HOST,
         port: int = DEFAULT_PORT,
         on_ready: Callable[[str], None] | None = None,
     ) -> None:
-        require_free(host, port)
-        self._output, self._host, self._port, self._on_ready = Path(output), host, port, on_ready
+        require_free(DEFAULT_HOST, port)
+        self._output, self._port, self._on_ready = Path(output), port, on_ready
         self._source = LiveSource()
         self._model: Model | None = None
         self._viewer: Viewer | None = None
@@ -137,7 +136,7 @@ class LiveView:
                 spread = CameraSpread.of_scene(scene)
                 subject = replace(subject, board=board_of(subject, spread))
             self._viewer = self._served = Viewer(
-                subject, start_at(start_camera(scene, model), scene), self._host, self._port
+                subject, start_at(start_camera(scene, model), scene), DEFAULT_HOST, self._port
             )
             if self._on_ready is not None:
                 self._on_ready(self._viewer.url)

@@ -34,10 +34,10 @@ from mrgs.viewer.source import Worker
 SOCKET_PATH = "/socket"
 SECONDS_TO_CLOSE = 2.0
 WATCH_S = 1.0
-"""Between two looks at the files that other programs may change, while a browser is connected."""
+"""Seconds between looks at files that others may change, while a browser is connected."""
 
 GUESS_S, MOST_GUESSES = 0.5, 10
-"""Before a wrong token is answered, one at a time; and how many may wait."""
+"""Seconds until a wrong token is answered, one at a time; and how many such requests may wait."""
 
 MOST_WAITING = 64
 """Messages that a browser has not taken; one that lets more wait is cut off."""

@@ -10,17 +10,18 @@ import torch
 from torch import Tensor
 
 from mrgs.method.config import make_config
-from mrgs.method.losses.term import LossContext, SceneScale
-from mrgs.method.losses.terms import (
+from mrgs.method.losses.distortion import (
     LARGE_SPREAD,
     LEAST_SPREAD,
     PIXEL_SIZE,
     Distortion,
-    configured_terms,
+    InverseDepths,
     distortion_loss,
+    inverse_depths,
 )
+from mrgs.method.losses.term import LossContext, SceneScale
+from mrgs.method.losses.terms import configured_terms
 from mrgs.rasterizer.contract import AS_PUBLISHED, Geometry, Projection
-from mrgs.rasterizer.inverse_depth import InverseDepths, inverse_depths
 from mrgs.scene import RGB, THERMAL, Camera, Gaussians, Modality, Rendering
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered, small_camera

@@ -23,7 +23,7 @@ TOOL = "dji_irp"
 """The program of DJI's Thermal SDK, or one with the same options, somewhere on PATH."""
 
 TIME_LIMIT_S = 60.0
-"""For one photo; DJI's tool takes less than a second."""
+"""Seconds that DJI's tool may take for one photo; it needs less than one."""
 
 MAX_BYTES = max(width * height for width, height in SIZES) * 4
 

@@ -86,7 +86,7 @@ def read_exif(data: bytes) -> ExifFacts:
 
 
 def _facts(tags: Mapping[int, Any], gps: Mapping[int, Any], width: int) -> ExifFacts:
-    """From the tags of the main and of the Exif directory, which some cameras do not tell apart."""
+    """Facts from the tags of the main and of the Exif directory, which some cameras mix up."""
     stated = [each for each in _TIMES if re.search("[1-9]", clean_text(tags.get(each[0])) or "")]
     if len(stated) > 1:
         stated = [each for each in stated if each is not _TIMES[-1]]

@@ -59,8 +59,8 @@ class Unit(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Unit:
-        """From ``celsius``, ``kelvin*100``, ``celsius*40+4000`` or ``(celsius+100)*40``. ValueError
-        for any other form, or a factor of 0."""
+        """A unit from ``celsius``, ``kelvin*100``, ``celsius*40+4000`` or ``(celsius+100)*40``.
+        ValueError for any other form, or a factor of 0."""
         compact = text.replace(" ", "").lower()
         if plain := _PLAIN.fullmatch(compact):
             unit = cls(plain[1], float(plain[2] or 1), float(plain[3] or 0))

@@ -236,7 +236,7 @@ class PagePart(NamedTuple):
     replaces: tuple[int, int]
 
     def to_json(self) -> str:
-        """For the page's script; contains no ``<``."""
+        """JSON for the page's script; contains no ``<``."""
         header = {**self.packed.header, "first": self.first, "replaces": self.replaces}
         data = base64.b64encode(self.packed.data).decode("ascii")
         return f'{{"header": {json.dumps(header)}, "data": "{data}"}}'

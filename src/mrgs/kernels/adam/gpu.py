@@ -36,9 +36,7 @@ def adam_kernel(
     Args:
         parameter, gradient, mean, square: of the same size; all but the gradient are changed.
         count: of steps, this one included; one value.
-        skip: one value.
         size: number of values.
-        rate: learning rate.
         epsilon: added to the root of the mean square.
     """
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)

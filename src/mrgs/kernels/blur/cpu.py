@@ -19,8 +19,7 @@ from mrgs.method.camera_model.point_spread import REACH
 
 def blur(plane: Float[Tensor, "h w"], sigma_px: Float[Tensor, ""]) -> Float[Tensor, "h w"]:
     """``mrgs.method.camera_model.point_spread.blur`` for float32 or float64 on the CPU;
-    NotImplemented for a width that is not positive, or so large that the plain definition is as
-    fast."""
+    NotImplemented for a width that is not positive, or one for which the definition is as fast."""
     require("plane", plane, (None, None), (torch.float32, torch.float64))
     require("sigma_px", sigma_px, (), (torch.float32, torch.float64))
     if not 0 < REACH * sigma_px.item() < max(plane.shape):

@@ -67,10 +67,9 @@ def blur_backward_kernel(
     plane, sigma, gradient, weight_sums, result, by_sigma, height, width, reach,
     AXIS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """The gradients behind ``blur_kernel``.
+    """The gradients behind ``blur_kernel``, whose arguments those not named here are.
 
     Args:
-        plane, sigma, height, width, reach, AXIS: as there.
         gradient: by P x, [H, W].
         weight_sums: t, as the forward kernel stored it.
         result: receives the gradient by x.

@@ -27,7 +27,7 @@ SIZES = ("count", "bands", "held")
 TYPES = dict.fromkeys(SIZES, "i32") | {"floor": "fp32"}
 
 VARIANTS = {3: "color", 1: "scalar"}
-"""By the number of channels."""
+"""Names of the specialisations, by the number of channels."""
 
 SMALLEST_DISTANCE = tl.constexpr(1e-12)
 CONSTANT = tl.constexpr(sh.C0)
@@ -109,7 +109,6 @@ def shade_kernel(
         values: filled, [N, C].
         count, held, CHANNELS: N, B and C.
         bands: coefficients that count.
-        floor: smallest value.
     """
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
@@ -131,13 +130,11 @@ def shade_backward_kernel(
     means, camera, dc, rest, values, gradient, grad_means, grad_dc, grad_rest, count, bands, held,
     floor, CHANNELS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """The gradients behind ``shade_kernel``.
+    """The gradients behind ``shade_kernel``, whose arguments those not named here are.
 
     Args:
-        means, camera, dc, rest, values: of the forward kernel.
         gradient: by the values, [N, C].
         grad_means, grad_dc, grad_rest: filled; 0 for the coefficients that do not count.
-        count, bands, held, floor, CHANNELS: as there.
     """
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count

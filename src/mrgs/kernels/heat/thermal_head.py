@@ -66,8 +66,7 @@ def project_features(
 
 
 class _Inputs(NamedTuple):
-    """Arrays of all Gaussians (or their gradients): e_m, the 3 and the other 45 colour
-    coefficients."""
+    """Arrays of all Gaussians (or gradients): e_m, the 3 and the other 45 colour coefficients."""
 
     embedding: np.ndarray
     sh_dc: np.ndarray
@@ -79,7 +78,9 @@ class _Projection(torch.autograd.Function):
     def forward(ctx: Any, *inputs: Any) -> Tensor:
         *tensors, positions, frequencies, rows, keep = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
-        network = _packed(tensors[3:])
+        # Only e_orth, of the width of SH', gets a gradient among the second layer's inputs.
+        second = dense.pack(tensors[5], tensors[6], len(tensors[3]))
+        network = Network(dense.pack(*tensors[3:5]), second, dense.pack(*tensors[7:]))
         units = network.second.bias.size
         hidden = np.empty((dense.slots(len(rows), keep), dense.BLOCK_ROWS, units), np.float32)
         projected = np.zeros((len(positions), len(tensors[-1])), np.float32)
@@ -115,13 +116,6 @@ class _Projection(torch.autograd.Function):
 
 def _flattened(tensors: Sequence[Tensor]) -> _Inputs:
     return _Inputs(*(tensor.detach().flatten(1).numpy() for tensor in tensors))
-
-
-def _packed(parameters: Sequence[Tensor]) -> Network:
-    """φ_SH and the two layers; only e_orth among the inputs of the second gets a gradient."""
-    phi_sh, phi_sh_bias, second, second_bias, output, output_bias = parameters
-    back = dense.pack(second, second_bias, len(phi_sh))
-    return Network(dense.pack(phi_sh, phi_sh_bias), back, dense.pack(output, output_bias))
 
 
 @reordering_parallel_kernel

@@ -51,7 +51,8 @@ SPREADING = (
 INFINITE_BITS = tl.constexpr(0x7F800000)
 NO_KEY = tl.constexpr(0x7FFFFFFFFFFFFFFF)
 SLACK = tl.constexpr(0.99999)
-"""Of a box's squared distance: it is rounded otherwise than the distances between the points."""
+"""Factor on a box's squared distance, which is rounded differently from distances between points:
+the box must never seem farther away than its points."""
 
 
 @triton.jit(do_not_specialize=("count", "blocks"))
@@ -67,8 +68,7 @@ def neighbours_kernel(
         boxes: bounds of each block of points, the three lower, then the three upper, [6, M].
         result: receives the neighbours' indices, int64, [N, K]; the point's own where there are
             fewer others.
-        count: N.
-        blocks: M.
+        count, blocks: N and M.
     """
     own = tl.program_id(0)
     queries = own * BLOCK + tl.arange(0, BLOCK)

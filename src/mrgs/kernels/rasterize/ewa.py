@@ -13,7 +13,8 @@ from typing import Any
 
 
 def functions(compiled: Callable[[Callable], Any]) -> tuple[Any, ...]:
-    """Those that kernels call, in order of definition; ``compiled`` decorates for a device."""
+    """The functions that kernels call, in order of definition, each compiled by the decorator
+    ``compiled`` (Numba's or Triton's)."""
 
     @compiled
     def dot(a, b):

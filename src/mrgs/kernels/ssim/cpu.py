@@ -28,7 +28,7 @@ BLOCK = 512
 """Values of a row that are worked on at once, so that they stay in the fastest cache."""
 
 MEAN_X, SQUARES, PRODUCT, MEAN_Y, ERROR = range(0, 5 * BLOCK, BLOCK)
-"""Where a block holds μ_x, S, P, μ_y, then the derivatives by them in their place, and 1 − SSIM."""
+"""Offsets in a block: of μ_x, S, P and μ_y, later of the derivatives by these, and of 1 − SSIM."""
 
 
 class ImagePair(NamedTuple):
@@ -211,7 +211,7 @@ def _store_gradients(comparison, row, derivatives, block):
 
 @inner_function()
 def _gradient(x, y, weights, block, mean, count, scalars, result):
-    """By x; ``mean`` says where the block has w ∗ ∂L/∂μ_x."""
+    """Gradient with respect to x; ``mean`` is the offset of w ∗ ∂L/∂μ_x in the block."""
     l1 = scalars[1]
     zero = l1 - l1
     for i in range(count):

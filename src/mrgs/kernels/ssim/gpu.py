@@ -157,8 +157,7 @@ def gradients_kernel(
     """The gradients by the images from the derivatives by the moments, and L1's own.
 
     Args:
-        x: as for ``compare_kernel``, and so are the arguments that are not named here.
-        derivatives: what it stored.
+        derivatives: as ``compare_kernel`` stored them; for the arguments not named here see there.
         gradient_x: receives the gradient by x, [H, W·C].
         gradient_y: receives the gradient by y; None if not wanted.
     """

@@ -141,8 +141,7 @@ class ImageModel(nn.Module):
         camera: Camera,
         pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
     ) -> Rendering:
-        """The rendering of any camera as it is expected to record it, a ``CameraResponse``; no
-        gradients."""
+        """The rendering of any camera as it records it, a ``CameraResponse``; no gradients."""
         viewpoint = self._as_given(Viewpoint.of(camera, self._extent))
         return self._recorded(rendering, lambda effect: effect.expected(viewpoint), pixel_sizes)
 
@@ -161,8 +160,7 @@ class ImageModel(nn.Module):
 
     def thermal_residual(self, recorded: Rendering, photo: Pixels) -> Float[Tensor, " n"] | None:
         """How far the parts of a training view's thermal photo are above the model, for ``learn``;
-        None where nothing is learned from it. ``recorded`` is what ``forward`` returned for the
-        view."""
+        None where nothing is learned from it. ``recorded`` is what ``forward`` returned."""
         if self.thermal_drift is None and self.thermal_shading is None:
             return None
         return part_medians(recorded[THERMAL].image.detach(), photo)

@@ -25,7 +25,6 @@ class PhotoShading(nn.Module):
     overlap, counts by its precision.
 
     Args:
-        photos: number of photos.
         fixed: keep the shading as it is given.
     """
 

@@ -15,11 +15,11 @@ REACH = 4.0
 
 INITIAL_SIGMA_PX = 0.8
 SMALLEST_SIGMA_PX = 0.2
-"""In pixels of a rendering, which may be coarser than the photo."""
+"""Smallest width in pixels of a rendering, which may be coarser than the photo."""
 
 SMALLEST_LEARNED_PX = 0.3
-"""In pixels of the photo. It moves a hundredth of what a pixel shows to its neighbours; a much
-smaller width has no gradient, so that it would never grow again."""
+"""Smallest width in pixels of the photo. It moves a hundredth of what a pixel shows to its
+neighbours; a much smaller width has no gradient, so that it would never grow again."""
 
 
 class PointSpread(nn.Module):

@@ -17,13 +17,13 @@ from mrgs.scene import Camera, Modality, Pixels, Rendering
 COARSEST = 1 / 80
 """Both images are first smoothed by Gaussians of this share of the width, then by half of that, and
 so on down to a pixel: errors that are larger than the details of an image are found in the coarser
-ones. Motions are expected to be about so long, and where photos do not tell, shorter."""
+ones. This is also the expected size of a motion; without evidence, the estimate is smaller."""
 
 ROUNDS = 3
 """Steps of Gauss–Newton with each width."""
 
 OUTLYING = 2.0
-"""Standard deviations above which differences hardly count: no motion of the camera's."""
+"""Standard deviations above which differences hardly count: they are not the camera's motion."""
 
 LEAST_DEVIATION = 2e-3
 """Standard deviation of what differs where the images are even, as a share of their range."""
@@ -36,8 +36,7 @@ WRONG_PX = 0.3
 
 WELL_SEEN = 4
 """Number of the six axes of a motion that show whether poses are wrong: those along which a view
-shows most. Along the others, parts of an unfinished model at a wrong depth look like a wrong
-pose."""
+shows most. Along the others, unfinished parts at a wrong depth look like a wrong pose."""
 
 UNCLEAR = 2.0
 """Ratio above which halves that differ give no evidence."""
@@ -62,6 +61,12 @@ class Alignable(NamedTuple):
     valid: Bool[Tensor, "h w"] | None
     rendering: Float[Tensor, "h w c"]
     depth: Float[Tensor, "h w"]
+
+    @property
+    def seen(self) -> Bool[Tensor, "h w"]:
+        """Which pixels show a surface and count."""
+        seen = self.depth.isfinite()
+        return seen if self.valid is None else seen & self.valid
 
 
 def alignables(
@@ -143,8 +148,7 @@ class PoseAgreement(NamedTuple):
     @property
     def is_wrong(self) -> bool:
         """Whether the poses are wrong: by what the halves agree on beyond what they differ by. A
-        model that is not right differs from each half in another way, a wrong pose from both
-        alike."""
+        model that is not right differs from each half otherwise, a wrong pose from both alike."""
         return self.agreed_px**2 - self.apart_px**2 > WRONG_PX**2
 
     @property
@@ -165,7 +169,6 @@ class _Places(NamedTuple):
     """Pixels of an image that show a surface and count in the photo.
 
     Attributes:
-        row, column: of the pixels.
         centres: of the pixels, in the image.
         shifts: J, in pixels along the axes of the motion.
         step: from one pixel to the next, in each direction.
@@ -182,7 +185,6 @@ class _Samples(NamedTuple):
     """Some pixels of an image, smoothed.
 
     Attributes:
-        places: the pixels.
         rendered: values and their slopes to the right and downwards, [k, C, 3].
         photo: the same of the whole photo, [C · 3, h, w].
         share: of independent ones among them: neighbours are smoothed together.
@@ -201,10 +203,7 @@ def _places(
     step = 1
     while height * width > MOST_PIXELS * step**2:
         step += 1
-    counts = image.depth.isfinite()
-    if image.valid is not None:
-        counts = counts & image.valid
-    row, column = counts[::step, ::step].nonzero().mul(step).unbind(1)
+    row, column = image.seen[::step, ::step].nonzero().mul(step).unbind(1)
     centres = torch.stack([column, row], dim=1).double() + 0.5
     points = image.camera.unproject(centres, image.depth[row, column].double())
     shifts = shift_per_motion(image.camera, points, centre) @ axes_px

@@ -24,8 +24,8 @@ LEAST_EFFECT = 0.03
 count as if they did so much: the photo hardly shows how long they are."""
 
 NO_FREEDOM = 1e-6
-"""A motion of which the others leave less than this share is none of its own: with one camera, or
-cameras in a row, some motions of the scene as a whole are no motions of these."""
+"""A motion of the whole scene of which the others leave less than this share depends on them: with
+one camera, or cameras in a row, some such motions have no effect of their own."""
 
 
 class PoseRefinement(nn.Module):

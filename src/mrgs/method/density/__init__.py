@@ -6,8 +6,7 @@ from mrgs.method.density.adaptive import AdaptiveDensityControl
 from mrgs.method.density.strategy import DensityStep, DensityUpdate, Strategy, StrategyState
 
 ConfiguredStrategy: TypeAlias = AdaptiveDensityControl
-"""The strategies that ``densification`` in a config.yaml can name: a union, told apart by the field
-``name``."""
+"""Strategies that ``densification`` in a config.yaml can name: a union, tagged by ``name``."""
 
 __all__ = [
     "AdaptiveDensityControl",

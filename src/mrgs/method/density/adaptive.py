@@ -161,7 +161,6 @@ def densify(
     transparent ones.
 
     Args:
-        gaussians: not changed.
         gradients: mean norm of each Gaussian's screen-space gradient.
         config: thresholds and the cap.
         prunes_large: whether Gaussians above ``prune_above`` are removed too.

@@ -107,7 +107,6 @@ class Strategy(ABC):
 
         Args:
             state: what the last call returned.
-            optimizer: has the Gaussians.
             step: the step that was just done.
         """
 

@@ -16,17 +16,16 @@ from mrgs.system.operation import operation
 from mrgs.system.strict_yaml import MOST_WEIGHT, require_within
 
 HALF_COVERED = 0.5
-"""Where less is covered, a blended depth is that of no surface."""
+"""Coverage below which a blended depth is that of no surface."""
 
 SMALLEST_DEPTH = 1e-6
 
 SMOOTH_PER_NOISE = 31.25
-"""Weight of the temperatures' smoothness for each unit of the thermal photos' noise:
-docs/decisions."""
+"""Weight of the temperatures' smoothness per unit of thermal noise (docs/decisions, 049)."""
 
 LEAST_CONTRAST = 50
 """Contrast, in standard deviations of the noise, from which on temperatures are multiplied no
-further: their noise would count as much as colours: docs/decisions."""
+further: their noise would count as much as colours (docs/decisions, 062)."""
 
 BEFORE = 0.1
 """Weight of a thermal surface before the colours', which fog may be, or glass."""

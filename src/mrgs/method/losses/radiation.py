@@ -64,8 +64,7 @@ class RadiationConfig:
 
 
 def boltzmann_weight(step: int, config: RadiationConfig) -> float:
-    """λ_boltz of Eq. 20 (final_loss) at a step: log-linear between its two ends, constant
-    outside."""
+    """λ_boltz of Eq. 20 (final_loss) at a step: log-linear between its ends, constant outside."""
     progress = (step - config.decay_from) / (config.decay_until - config.decay_from)
     if progress <= 0:
         return config.start

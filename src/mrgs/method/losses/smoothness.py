@@ -12,11 +12,10 @@ from mrgs.method.losses.photometric import LossConfig
 from mrgs.system.operation import operation
 
 CONTRAST = 0.02
-"""Difference of colours, of which 1 is the whole range, that is an edge: docs/decisions."""
+"""Difference of colours, of which 1 is the whole range, that is an edge (docs/decisions, 049)."""
 
 Similarity: TypeAlias = tuple[Float[Tensor, "h1 w"] | None, Float[Tensor, "h w1"] | None]
-"""Similarity of the pixels of neighbouring rows, [H − 1, W], and of neighbouring columns,
-[H, W − 1]; None for 1."""
+"""Similarity of neighbouring rows' pixels, [H − 1, W], and columns', [H, W − 1]; None for 1."""
 
 
 def smoothness_loss(

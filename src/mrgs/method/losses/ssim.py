@@ -29,8 +29,7 @@ def _window_weights() -> Float[Tensor, "11"]:
 
 
 WEIGHTS = _window_weights()
-"""The window along one axis, float64; the two-dimensional window is its outer product with
-itself."""
+"""The window along one axis, float64; the 2D window is its outer product with itself."""
 
 
 def window_mean(planes: Planes) -> Planes:

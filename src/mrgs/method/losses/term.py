@@ -167,7 +167,7 @@ class Term(ABC):
     Attributes:
         name: unique in a training.
         learned: the term's own parameters, which are trained and saved with the model.
-        learning_rate: of these parameters.
+        learning_rate: of ``learned``.
         replayable: whether ``value`` depends on nothing but the tensors of its context and
             ``learned``. On a GPU it is then recorded with the rest of a step and not called for
             every view. False for one that counts, draws random numbers on the host, or waits for

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.method.config import TrainConfig
+from mrgs.method.losses.distortion import BEGINS, Distortion
 from mrgs.method.losses.photometric import (
     HALF_COVERED,
     LossConfig,
@@ -25,8 +26,6 @@ from mrgs.method.losses.radiation import (
 )
 from mrgs.method.losses.smoothness import Similarity, similarity_of, smoothness_loss
 from mrgs.method.losses.term import LossContext, Term
-from mrgs.rasterizer.contract import Geometry
-from mrgs.rasterizer.inverse_depth import InverseDepths, inverse_depths
 from mrgs.scene import RGB, THERMAL, Modality
 
 
@@ -131,32 +130,6 @@ class Opaqueness(Term):
         return opaqueness_loss(thermal.alpha, rgb.alpha, thermal.depth, rgb.depth)
 
 
-class Distortion(Term):
-    """L_dist, not in the paper, by the camera of the view that has the finest pixels, from the step
-    ``begins`` on; seldom and in coarser pixels, which costs less and does as much."""
-
-    name = "distortion"
-
-    def __init__(self, weight: float, begins: int) -> None:
-        self._weight, self._begins = weight, begins
-
-    def is_due(self, step: int) -> bool:  # noqa: D102
-        return step >= self._begins and step % EVERY == 0
-
-    def weight(self, step: int) -> float:  # noqa: D102
-        return EVERY * self._weight
-
-    def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        cameras, gaussians = context.cameras, context.gaussians
-        modality = max(cameras, key=lambda each: (cameras[each].focal_px, each == THERMAL))
-        camera = cameras[modality]
-        width, height = (max(1, side // PIXEL_SIZE) for side in (camera.width, camera.height))
-        coarse = camera.resized(width, height)
-        projection = context.dilation.projection(coarse, gaussians.means.device)
-        opacity = gaussians.opacity(modality)
-        return distortion_loss(inverse_depths(Geometry.of(gaussians), opacity, projection))
-
-
 class Boltzmann(Term):
     """L_boltz, Eq. 13–16, from the photo's temperatures and the rendered depth; learns ψ."""
 
@@ -186,44 +159,3 @@ class Boltzmann(Term):
         return boltzmann_loss(
             image[..., 0], normalise_radiation(radiation, valid), uncertainty, valid
         )
-
-
-BEGINS = 0.3
-"""Share of the steps before L_dist, which would hold on to what was not yet seen through:
-docs/decisions."""
-
-EVERY = 8
-"""Steps from one use of L_dist to the next, which counts for all of them: docs/decisions."""
-
-PIXEL_SIZE = 2
-"""Side of a pixel in which L_dist is computed, in pixels of the photo."""
-
-LEAST_SPREAD = 1e-3
-"""Relative spread of the depths below which a surface is thin enough."""
-
-LARGE_SPREAD = 0.1
-"""Relative spread from which on a pixel is taken to see several objects, as along an outline, and
-hardly counts more the farther apart they are."""
-
-LEAST_WEIGHT = 0.05
-"""Σ w below which a pixel hardly shows a surface."""
-
-LEAST_NEARNESS = 1e-6
-
-
-def distortion_loss(depths: InverseDepths) -> Float[Tensor, ""]:
-    """L_dist: how far apart, relative to their distance, the surfaces are that one pixel sees.
-
-    The mean over the pixels of s / (1 + s / 0.1) with the spread s = √(V / ρ̄² + 0.001²), where V =
-    Σw Σwρ² − (Σwρ)² = ½ Σ_ij w_i w_j (ρ_i − ρ_j)² is the variance of the inverse depths ρ at which
-    the pixel's ray meets its Gaussians, and ρ̄ their mean, without gradient. Mip-NeRF 360 (Barron
-    et al. 2022) and 2DGS (Huang et al. 2024) have such a loss of the depths of samples and of
-    discs. A plane costs nothing, whatever the angle at which it is seen; a wall that is a slab of
-    half-transparent Gaussians does, and so does what floats before it. A pixel that rightly sees
-    two objects counts little.
-    """
-    variance = (depths.weight * depths.squares - depths.sum**2).clamp_min(0)
-    mean = (depths.sum / depths.weight.clamp_min(LEAST_WEIGHT)).detach()
-    relative = variance / mean.clamp_min(LEAST_NEARNESS) ** 2
-    spread = (relative + LEAST_SPREAD**2).sqrt()
-    return (spread / (1 + spread / LARGE_SPREAD)).mean()

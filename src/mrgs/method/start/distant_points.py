@@ -39,8 +39,7 @@ LOWEST_SHARE = 0.01
 
 
 class DistantPoints(NamedTuple):
-    """M points in world coordinates, about equally far from each other; ``spacing`` is in scene
-    units."""
+    """M points in world coordinates, about equally far apart; ``spacing`` is in scene units."""
 
     positions: Float[Tensor, "m 3"]
     spacing: float
@@ -72,8 +71,8 @@ def distant_points(
 def _share_of_empty(
     positions: Float64[Tensor, "m 3"], empty: Sequence[tuple[Camera, Bool[Tensor, "rows columns"]]]
 ) -> Float64[Tensor, " m"]:
-    """The share of the photos with a position in their frame that show nothing there; NaN where
-    none has it."""
+    """The share of the photos with a position in their frame that show nothing there; NaN without
+    any."""
     in_frame, nothing = torch.zeros(2, len(positions), dtype=torch.float64)
     for camera, cells in empty:
         pixels, _ = camera.project(positions)
@@ -86,8 +85,8 @@ def _share_of_empty(
 def _empty_cells(
     camera: Camera, positions: Float64[Tensor, "n 3"]
 ) -> Bool[Tensor, "rows columns"] | None:
-    """The cells that have no start point, nor do their eight neighbours; None with too few points
-    to tell."""
+    """The cells without start points in them or in their eight neighbours; None with too few to
+    tell."""
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     pixels, _ = camera.project(positions)
     seen = pixels[camera.contains(pixels)]
@@ -113,7 +112,7 @@ def _cells_at(
 def _on_sphere(
     camera: Camera, empty: Bool[Tensor, "rows columns"], ball: SceneBounds
 ) -> Float64[Tensor, "k 3"]:
-    """Where rays through the cells' middles meet the background: directions from its centre."""
+    """Directions from the background's centre to where rays through the cells' middles meet it."""
     rows, columns = empty.shape
     row, column = empty.nonzero().T
     pixels = torch.stack(

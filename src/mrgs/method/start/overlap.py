@@ -20,12 +20,12 @@ from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.errors import ConfigError, warn_user
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.camera_model.photo_shading import HEIGHT, TERMS, image_places, shading_terms
-from mrgs.method.start.start_points import LOOKED_AT_PX, framed_points
+from mrgs.method.start.start_points import SAMPLING_PX, framed_points
 from mrgs.scene import THERMAL, Blend, Pixels, PosedImage, Rendering, Scene, View
 
 MOST_POINTS, MOST_SIGHTINGS = 20_000, 300_000
 FEWEST_PHOTOS = 3
-"""A point that fewer photos show says too little about which of them is off."""
+"""A point that fewer photos show does not tell which of them is off."""
 
 SMOOTHED_PX = 2.0
 """Standard deviation of the Gaussian that photos are smoothed by: points are not more exact."""
@@ -39,18 +39,18 @@ OFFSET_C, SHADING_C, NOT_MODELLED_C = 3.0, 1.0, 1e-4
 """Standard deviations a priori: offsets, coefficients of the shading, what is not modelled."""
 
 DRIFT_C = 0.5
-"""The same, of the difference between two photos a minute apart; it grows with the root of the
-time. A shutter correction may make it larger."""
+"""Standard deviation a priori of the difference between two photos a minute apart; it grows with
+the root of the time. A shutter correction may make it larger."""
 
 LEAST_ERROR_C = 0.02
 """What is found is not trusted to be better than this."""
 
 ALIKE = 25.0
-"""Number of sightings that count as one: errors of neighbouring points are alike."""
+"""Sightings per independent observation: errors of neighbouring points are correlated."""
 
 MOST_PAIRS, FEWEST_SHARED = 30, 40
-"""Other photos that a photo is compared with at most, those that show most of its points; fewer
-points that both show say nothing."""
+"""Largest number of photos that a photo is compared with, those sharing most points first; and the
+fewest shared points that count."""
 
 ITERATIONS, CONVERGED_C = 30, 1e-3
 
@@ -206,7 +206,7 @@ def _seen(
     values change about the points."""
     camera = photo.camera
     pixels, in_frame, hidden = framed_points(camera, positions)
-    image = photo.look(LOOKED_AT_PX)
+    image = photo.look(SAMPLING_PX)
     values = image.values[..., 0].double().numpy()
     valid = np.ones_like(values) if image.valid is None else image.valid.double().numpy()
     sigma = SMOOTHED_PX * values.shape[1] / camera.width
@@ -225,8 +225,7 @@ def _fitted(
     seen: _Sightings, priors: Float[np.ndarray, " c"], minutes: Float[np.ndarray, " p"]
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c c"]]:
     """Offsets of P photos and the coefficients of the shading, °C, with their covariance, by least
-    squares with Geman and McClure's weights; each point's own temperature is eliminated as its
-    weighted mean."""
+    squares with Geman and McClure's weights; each point's temperature is eliminated as its mean."""
     photos, n, p = len(minutes), len(seen.value), 1 + seen.point.max(initial=-1)
     order = np.argsort(minutes)[: np.isfinite(minutes).sum()]
     one, next_one = order[:-1], order[1:]

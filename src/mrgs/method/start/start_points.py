@@ -45,8 +45,8 @@ DISTANT_OPACITY = 0.9
 """Nothing is behind a distant point; were it not opaque, nearer surfaces would fill the sky."""
 
 NEARER_OPACITY = 0.5
-"""Of the scene's points where there are distant ones. Started with 3DGS's they hide little of what
-is opaque behind them, and surfaces stay full of holes: docs/decisions."""
+"""Start opacity of the scene's own points if distant points are added. With 3DGS's they hide little
+of what is opaque behind them, and surfaces stay full of holes (docs/decisions, 062)."""
 
 DISTANT_SIZE = 2.0
 """Largest standard deviation of a distant point at the start, in spacings: one or two of them
@@ -166,8 +166,8 @@ def _unknown(modalities: tuple[Modality, ...], count: int) -> dict[Modality, Ten
 READ_PHOTOS = 64
 """Largest number of photos that are read, evenly spread."""
 
-LOOKED_AT_PX = 600
-"""A large photo may be read at a fraction of its size that is at least so wide."""
+SAMPLING_PX = 600
+"""Least width at which a large photo is read for the values of points."""
 
 CELLS_ACROSS = 48
 """Number of cells across a photo, which are about square. A point is hidden where
@@ -177,10 +177,10 @@ MUCH_NEARER = 1.5
 """Ratio of distances above which a farther point is hidden."""
 
 VALUE_NEIGHBOURS = 8
-"""Number of points whose values a point takes that no photo shows."""
+"""Number of nearest points from which a point that no photo shows takes its values."""
 
 SMALLEST_VALUE_DISTANCE = 1e-9
-"""That divides; scene units."""
+"""Smallest distance used as a divisor in inverse-distance weights, scene units."""
 
 
 def photo_values(
@@ -224,7 +224,7 @@ def _shown(
     """What a photo has where the points in its frame are, and where the unhidden ones of them are;
     NaN for the others."""
     pixels, in_frame, hidden = framed_points(photo.camera, positions)
-    image = photo.look(LOOKED_AT_PX)
+    image = photo.look(SAMPLING_PX)
     height, width, _ = image.values.shape
     per_pixel = pixels.new_tensor([width / photo.camera.width, height / photo.camera.height])
     column, row = (pixels * per_pixel).long().T

@@ -31,7 +31,8 @@ _OTHER_LENS = 1.2
 
 
 UNKNOWN_CAMERA = "does not say which camera took it"
-"""Why a thermal photo is left out whose file names no camera, where its size does not tell."""
+"""Why a thermal photo is left out whose file names no camera and whose size fits several or
+none."""
 
 
 def check_cameras(
@@ -123,8 +124,7 @@ def of_one_camera(
 def _candidates(
     photos: Sequence[Photo], cameras: Mapping[str, Sequence[Photo]]
 ) -> dict[Photo, list[str]]:
-    """The cameras of which each photo may be: its own, or if it names none, those with photos of
-    its size."""
+    """The cameras that each photo may be of: its own, or if it names none, those with its size."""
     known = {photo: [name] for name, own in cameras.items() for photo in own}
     sizes = {name: {photo.size for photo in own} - {None} for name, own in cameras.items()}
     return {

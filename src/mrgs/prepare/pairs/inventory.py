@@ -212,8 +212,7 @@ def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
 
 @lru_cache(maxsize=20_000)
 def _inspected(path: Path, relative: PurePosixPath, stamp: Stamp) -> Photo | str:
-    """``inspect``, once until the file changes: ``prepare`` asks again after its duration was
-    estimated."""
+    """``inspect``, once until the file changes: ``prepare`` asks again after the estimate."""
     return inspect(path, relative)
 
 

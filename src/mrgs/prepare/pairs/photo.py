@@ -42,21 +42,19 @@ _LETTERS = {"t": THERMAL, **dict.fromkeys("wvzs", RGB)}
 """The last letter of DJI's names: thermal, wide, visible, zoom, screenshot."""
 
 PARTNER_MARKS = ("w", "wide", "v", "vis", "visible", "rgb", "", "z", "zoom")
-"""Camera suffixes by preference among RGB photos of one moment: a wide view covers the thermal
-image."""
+"""Camera suffixes by preference among RGB photos of a moment: wide ones cover the thermal image."""
 
 _LAST_LETTER = re.compile(
     r"(?:(?<=\d)[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE
 )
-"""After a number any of these letters; after a word only the T: ``house_w`` may well be the west
-side."""
+"""After a number any of these letters, after a word only T: ``house_w`` may be the west side."""
 
 _LAST_R = re.compile(r"(?:(?<=\d)[_\-]r|[_\-]rad)$", re.IGNORECASE)
 _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?", re.IGNORECASE)
 """DJI's newer names: ``DJI_20240131120000_0001_T_Waypoint1``."""
 
 _PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image")
-"""In this order one file is preferred where several show the same."""
+"""Kinds in order of preference where several files show the same."""
 
 _RESERVED = {"con", "prn", "aux", "nul", *(f"{p}{n}" for p in ("com", "lpt") for n in range(10))}
 _LONGEST_NAME = 100
@@ -69,7 +67,6 @@ class Photo:
     Attributes:
         origin: path of the camera's original file without the extension, relative to the folder of
             photos.
-        kind: of its content.
         size: width and height in pixels.
         needs_tool: whether only the maker's tool reads it.
         embedded: whether a photo in visible light is inside.

@@ -33,12 +33,10 @@ from mrgs.prepare.pairs.photo import (
 from mrgs.scene import Modality
 
 _NEIGHBOUR_S = 10.0
-"""Photos with neighbouring numbers that were taken farther apart in time, seconds, do not belong
-together."""
+"""Photos with neighbouring numbers taken more seconds apart do not belong together."""
 
 NEARLY = 0.9
-"""A better camera is taken even if another one has a few photos more: down to this share of the
-most."""
+"""A better camera is taken even if another has a few photos more: down to this share."""
 
 
 class Pair(NamedTuple):
@@ -75,7 +73,7 @@ class Match:
 
 
 def in_order(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
-    """In natural order of the reference photos."""
+    """The pairs in natural order of the reference photos."""
     return tuple(sorted(pairs, key=lambda pair: natural(str(pair.reference.origin))))
 
 
@@ -223,8 +221,7 @@ def by_numbers(photos: Sequence[Photo]) -> Match | None:
 
 
 def _neighbour(key: str, step: int) -> str:
-    """The key with the number at its end changed by ``step``, as wide as before; empty if there is
-    none."""
+    """The key with the number at its end changed by ``step``, as wide as before; empty for none."""
     found = re.fullmatch(r"(.*?)([0-9]+)", key, re.DOTALL)
     number = -1 if found is None else int(found[2]) + step
     return "" if found is None or number < 0 else f"{found[1]}{number:0{len(found[2])}d}"
@@ -256,7 +253,7 @@ def by_time(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     in_zones = all(photo.exif.zone_s is not None for photo in timed)
 
     def moment(photo: Photo) -> datetime:
-        """In UTC, if all photos know their zones."""
+        """When a photo was taken, in UTC if all photos know their zones."""
         assert photo.exif.taken is not None
         zone_s = photo.exif.zone_s if in_zones else None
         return photo.exif.taken - timedelta(seconds=zone_s or 0.0)
@@ -398,8 +395,7 @@ def clock_offset(
 def _frequent_differences(
     first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], window_s: float
 ) -> list[float]:
-    """The centres of the windows that hold most of the differences between all times of the two
-    cameras."""
+    """Centres of the windows with most of the differences between all times of the two cameras."""
     differences = np.sort((first[:, None] - second).ravel())
     ends = np.searchsorted(differences, differences + window_s, "right")
     counts = ends - np.arange(len(differences))

@@ -259,8 +259,7 @@ def _weights(
 class _NormalEquations(NamedTuple):
     """Gauss-Newton's equations: blocks of the Hessian, and negative gradients. No observation
     depends on the motions of two pairs, so all other blocks are zero, and the motions can be
-    eliminated one by one (Schur's complement): the work grows with the number of pairs, not with
-    its cube."""
+    eliminated one by one (Schur's complement): work grows with the pairs, not their cube."""
 
     rig: Float64[Tensor, "12 12"]
     coupling: Float64[Tensor, "v 12 6"]

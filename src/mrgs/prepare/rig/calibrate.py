@@ -54,7 +54,8 @@ _MOVING = 1.0
 
 # Standard deviations of the prior.
 _FOCAL_SIGMA, _KNOWN_FOCAL_SIGMA = 0.1, 0.02
-"""For the logarithm; the second where the files or the user state the field of view."""
+"""Standard deviations of the logarithm of the focal length; the second where the files or the user
+state the field of view."""
 
 _ASPECT_SIGMA = 0.005
 _CENTRE_SIGMA_WIDTHS = 0.03

@@ -55,8 +55,7 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
     """Find a chessboard of which all inner corners are in the image; None if there is none. Saddle
     points of several scales are linked to a grid along their edges, and placed to a fraction of a
     pixel; the four squares around each must alternate, in either order. The image may have any unit
-    and lens distortion; ``inner`` is how many corners are in a row and in a column, both 3 or
-    more."""
+    and lens distortion; ``inner`` is how many corners are in a row and a column, at least 3."""
     image = (image - np.median(image)).astype(np.float32)
     for saddles in _at_scales(image):
         for lattice in _lattices(saddles):

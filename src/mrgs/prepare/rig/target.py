@@ -136,8 +136,7 @@ def find_target(
     report: Progress,
 ) -> LocatedTarget:
     """Detect a target in all pairs and locate its corners. SceneError if no pair shows it in both
-    images, its distance is ambiguous, or an image cannot be read. Photos and thermal images have
-    the same side up."""
+    images, its distance is ambiguous, or an image cannot be read. Both have the same side up."""
     found, in_thermal = [], 0
     for index, pair in enumerate(pairs):
         report("looking for the target", index, len(pairs))
@@ -264,8 +263,7 @@ def _stationary_board(
 
 def _from_two(first: _BoardPose, second: Sequence[_BoardPose]) -> _Board | None:
     """The board that two photos see at one place; None if they do not. Their distances from it, in
-    squares, follow from its perspective; the width of a square is the one for which both give the
-    same place."""
+    squares, follow from its perspective; the width of a square is that for which both agree."""
     own = first.in_world
     likeness = [float(np.trace(own[:, :3].T @ pose.in_world[:, :3])) for pose in second]
     if max(likeness) < 1 + 2 * np.cos(_TURNED_RAD):

@@ -314,7 +314,7 @@ def evened(file: Path) -> UInt8[np.ndarray, "h w"]:
 
 
 def local_contrast(values: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Deviations from the surroundings' mean over their root mean square, from 0 to 1; 0.5 is none.
+    """Deviations from the surroundings' mean over their root mean square, in [0, 1], 0.5 if none.
     The median root mean square is added to it, so that noise of flat surfaces stays small."""
     clipped = np.clip(values, *np.percentile(values, EXTREMES_PERCENT)).astype(np.float64)
     smooth = gaussian_filter(clipped - np.median(clipped), NOISE_SIGMA_PX)

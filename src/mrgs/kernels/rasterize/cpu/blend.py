@@ -252,7 +252,6 @@ def blend(splats, tile_splats, tile_starts, backgrounds, color, scalar):
 
     Args:
         splats: records, nearest first, [V, 16].
-        tile_splats, tile_starts: the tiles' lists.
         backgrounds: red, green, blue, temperature, [4].
         color, scalar: ``LayerImages``, filled.
     """
@@ -348,7 +347,7 @@ def _add_geometry(moments, grad_exponent, across, dy):
 
 @strict_inlined_function()
 def _zero_sums():
-    """Those of the geometry, of the colour and of the scalar layer."""
+    """Zero sums for the geometry, the colour layer and the scalar layer."""
     zero = simd.broadcast(ZERO)
     zeros = (zero, zero, zero, zero, zero)
     return zeros, zeros, zeros
@@ -389,9 +388,7 @@ def blend_backward(
 
     Args:
         splats: records, nearest first, [V, 16].
-        tile_splats, tile_starts: the tiles' lists.
-        color, scalar: ``LayerImages`` that ``blend`` filled.
-        grad_color, grad_scalar: their gradients.
+        color, scalar: ``LayerImages`` that ``blend`` filled; the ``grad_`` arguments are theirs.
     """
     height, width = color.depth.shape
     tiles = tile_starts.size - 1
@@ -447,7 +444,6 @@ def median(splats, tile_splats, tile_starts, depth):
 
     Args:
         splats: records, nearest first, [V, 16].
-        tile_splats, tile_starts: the tiles' lists.
         depth: NaN where more than half of the light passes all splats.
     """
     height, width = depth.shape

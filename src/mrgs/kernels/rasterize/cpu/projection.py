@@ -21,7 +21,7 @@ _BLOCK = 256
 """Gaussians that one thread takes at a time in the backward pass."""
 
 _PAIRS_AHEAD = 16
-"""Pairs whose moments are asked for before they are read: they lie all over the memory."""
+"""Pairs whose moments are asked for before they are read: they are scattered over the memory."""
 
 LARGEST_PX = 1e9
 """Gaussians that reach farther are left out, with those whose place or size is not a number."""
@@ -261,10 +261,10 @@ def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
 def project_backward(
     gaussians, projection, pair_grads, pair_positions, pair_starts, grads, grad_means2d
 ):
-    """Gather the gradient moments of each Gaussian and chain them back to its parameters.
+    """Gather the gradient moments of each Gaussian and chain them back to its parameters; for the
+    arguments not named here see ``project``.
 
     Args:
-        gaussians, projection: as in ``project``.
         pair_grads: moments per (tile, splat) pair, [P, 12].
         pair_positions, pair_starts: the pairs of Gaussian i are
             pair_positions[pair_starts[i]:pair_starts[i + 1]].

@@ -18,8 +18,7 @@ from mrgs.rasterizer import splat
 TILE_WIDTH = 8
 TILE_HEIGHT = 16
 CHUNKS = 16
-"""Parts of the order that are counted and filled in parallel; a constant, so that it does not
-follow the thread count."""
+"""Parts of the order that are counted and filled in parallel, whatever the number of threads."""
 
 PREFETCH_AHEAD = 4
 """Records come in an unforeseeable order: each is prefetched this many turns before it is read."""
@@ -164,7 +163,7 @@ def _prefix_sums(chunk_counts, pair_counts):
 
 @strict_parallel_kernel()
 def _fill(splats, order, tiles_x, tiles_y, next_position, pair_starts, tile_splats, pair_positions):
-    """Write the lists, and, where there is room, where each Gaussian's pairs stand in them."""
+    """Write the lists, and, where there is room, where each Gaussian's pairs are in them."""
     count = splats.shape[0]
     by_gaussian = pair_starts.size > 1
     for chunk in prange(CHUNKS):

@@ -4,8 +4,8 @@ layers in one walk.
     α_i = min(0.999, o_i G_i),  w_i = α_i T_i,
     image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i
 
-The records of the list lie all over the memory: each is loaded one splat ahead, and its place in
-the memory two splats ahead, so that loads and arithmetic overlap.
+The records of the list are scattered over the memory: each is loaded one splat ahead, and its place
+in the memory two splats ahead, so that loads and arithmetic overlap.
 
 Backward is the same walk with one running scalar per layer and pixel. With g the gradient of a
 pixel, let R_i = Σ_{j>i} w_j (g·f_j) + T_end (g·background − g_alpha): all that is behind the splat

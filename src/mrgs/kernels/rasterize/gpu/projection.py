@@ -197,7 +197,7 @@ def project(
 
 @device_function
 def _load_moments(moments, mask):
-    """Those of ``ewa.screen_gradients``."""
+    """The five moments that ``ewa.screen_gradients`` takes."""
     return (
         tl.load(moments + GRAD_ACROSS, mask=mask, other=0.0),
         tl.load(moments + GRAD_DY, mask=mask, other=0.0),
@@ -246,11 +246,11 @@ def project_backward(
     dilation,
     HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Chain the moments of each Gaussian back to its parameters.
+    """Chain the moments of each Gaussian back to its parameters; for the arguments not named here
+    see ``project``.
 
     Args:
-        means, ..., opacities_scalar, viewmat, K, count, width, height, dilation: as in ``project``.
-        radii: what that wrote.
+        radii: as ``project`` wrote them.
         gaussian_grads: moments per Gaussian, [N, 12].
         grad_*: filled, with 0 for the Gaussians that are left out.
     """

@@ -195,7 +195,7 @@ def _project(what: _Pass, buffers: Arguments) -> None:
 
 
 def _list(buffers: Arguments) -> None:
-    """Add the lists of the tiles, and where each Gaussian's pairs stand: sort by distance, then
+    """Add the lists of the tiles, and where each Gaussian's pairs are: sort by distance, then
     stably by tile. MrgsError if there are more pairs than the kernels can number."""
     distances, tiles = buffers["distances"], buffers["tiles"]
     order = torch.argsort(distances, stable=True)

@@ -79,7 +79,7 @@ def _rank_of_pair(pair, pair_ends, count):
     """The first rank whose pairs end behind the pair, by bisection."""
     low = tl.zeros_like(pair)
     high = low + (count - 1)
-    left = count - 1  # of the ranks, at most so many are still between low and high
+    left = count - 1  # at most this many ranks are between low and high
     while left > 0:
         middle = (low + high) // 2
         is_before = tl.load(pair_ends + middle) <= pair

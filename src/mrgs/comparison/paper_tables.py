@@ -69,8 +69,8 @@ ALIGNED_REMARKS = (
 @dataclass(frozen=True)
 class Outcomes:
     """All outcomes of a comparison, by scene and method: scenes in the order of the columns,
-    methods in that of the rows, without those of the table of neighbours alone, of which
-    ``neighbours`` has the method of each n."""
+    methods in that of the rows, without methods that occur only in the table of neighbours;
+    ``neighbours`` maps each n to its method."""
 
     all: tuple[Outcome, ...]
     scenes: tuple[str, ...]
@@ -126,7 +126,7 @@ def published_rows(table: str, scene: str) -> dict[str, dict[str, float | None]]
 
 
 def published_figure(table: str, row: str, figure: str, scene: str) -> Figure:
-    """A figure of the paper, by its key in ``results.figure_keys``."""
+    """A figure of the paper, by its key (one of ``table.figure_keys``)."""
     figures = published_rows(table, scene).get(row)
     if figures is None:
         return Missing("the paper has no figures of this scene")

@@ -8,14 +8,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from mrgs.rasterizer import Geometry, Projection, reference
-from mrgs.rasterizer.contract import STEEPEST_TANGENT
-from mrgs.rasterizer.inverse_depth import (
+from mrgs.method.losses.distortion import (
     InverseDepths,
     inverse_depths,
     ray_directions,
     surface_planes,
 )
+from mrgs.rasterizer import Geometry, Projection, reference
+from mrgs.rasterizer.contract import STEEPEST_TANGENT
 from mrgs.scene import Camera
 from tests.helpers.gaussians import random_gaussians
 

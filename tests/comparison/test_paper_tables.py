@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from mrgs.comparison.table import Outcome, Table, failed
-from mrgs.comparison.tables import (
+from mrgs.comparison.paper_tables import (
     ABLATION,
     NAMES,
     PAPER_METHODS,
@@ -18,6 +17,7 @@ from mrgs.comparison.tables import (
     published_rows,
     scene_title,
 )
+from mrgs.comparison.table import Outcome, Table, failed
 from mrgs.evaluation.metrics import Missing
 from tests.helpers.comparison import metrics_document, outcome_of
 
