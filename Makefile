@@ -72,9 +72,9 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PIP) --no-build-isolation --editable .
 	@touch $@
 
-# A method in a package of its own, which the tests train too.
-$(VENV)/.plugins-installed: $(VENV)/.installed plugins/thermonerf/pyproject.toml
-	$(PIP) --no-build-isolation --editable ./plugins/thermonerf
+# The packages of their own: a method, and `mrgs compare`.
+$(VENV)/.plugins-installed: $(VENV)/.installed $(wildcard plugins/*/pyproject.toml)
+	$(PIP) --no-build-isolation --editable ./plugins/compare --editable ./plugins/thermonerf
 	@touch $@
 
 $(VENV)/.dev-installed: $(VENV)/.plugins-installed

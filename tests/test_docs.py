@@ -15,7 +15,7 @@ DOCUMENTS = [
     *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "plugins").glob("*/README.md")),
 ]
-PLACES = (ROOT / "src" / "mrgs", ROOT, ROOT / "tools", ROOT / "plugins" / "thermonerf")
+PLACES = (ROOT / "src" / "mrgs", ROOT, ROOT / "tools", *(ROOT / "plugins").iterdir())
 DECISIONS = ROOT / "docs" / "decisions"
 """A decision may name a file that has left the code since; then it names the commit as well."""
 

@@ -22,8 +22,8 @@ from safetensors.torch import save_file
 
 from mrgs.app import commands, progress, terminal
 from mrgs.app.cli import how_to_read, main
-from mrgs.comparison.table import Cell, Group, Row, Table
 from mrgs.training import StepStatistics
+from mrgs_compare.table import Cell, Group, Row, Table
 from tests.helpers.scenes import write_scene
 
 TINY = ("--max-steps", "3", "--max-gaussians", "100")

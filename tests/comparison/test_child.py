@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from mrgs.comparison import child
-from mrgs.comparison.plan import Variant, configure, run_one
 from mrgs.errors import KernelWarning, MrgsWarning
 from mrgs.system.strict_yaml import write_yaml
+from mrgs_compare import child
+from mrgs_compare.plan import Variant, configure, run_one
 from tests.helpers.comparison import tiny_options
 
 

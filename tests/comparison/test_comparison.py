@@ -14,13 +14,13 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from mrgs.comparison import comparison
-from mrgs.comparison.comparison import compare
-from mrgs.comparison.plan import PlannedRun, Variant, plan, run_one
 from mrgs.errors import MrgsError
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import TrainedRun, open_run
 from mrgs.training import train
+from mrgs_compare import comparison
+from mrgs_compare.comparison import compare
+from mrgs_compare.plan import PlannedRun, Variant, plan, run_one
 from tests.helpers.comparison import tiny_options
 from tests.helpers.runs import made_once
 

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.comparison.comparison import (
+from mrgs.data import load_scene
+from mrgs.evaluation.contact_sheet import ViewImages
+from mrgs.pictures.files import write_float_tiff
+from mrgs.pictures.sheet import GAP_PX
+from mrgs.scene import THERMAL, Blend, Modality, PosedImage, Rendering, Scene, View
+from mrgs_compare.comparison import (
     NARROW_PX,
     WIDE_PX,
     Exhibit,
     depth_section,
     qualitative_section,
 )
-from mrgs.data import load_scene
-from mrgs.evaluation.contact_sheet import ViewImages
-from mrgs.pictures.files import write_float_tiff
-from mrgs.pictures.sheet import GAP_PX
-from mrgs.scene import THERMAL, Blend, Modality, PosedImage, Rendering, Scene, View
 from tests.helpers.gaussians import NEAR_INFRARED
 
 

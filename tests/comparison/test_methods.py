@@ -4,9 +4,9 @@ from dataclasses import asdict
 
 import pytest
 
-from mrgs.comparison.plan import Variant, configure, from_text
 from mrgs.errors import ConfigError
 from mrgs.system.strict_yaml import flat, write_yaml
+from mrgs_compare.plan import Variant, configure, from_text
 from tests.helpers.comparison import tiny_options
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from mrgs.comparison.paper_tables import (
+from mrgs.evaluation.metrics import Missing
+from mrgs_compare.paper_tables import (
     ABLATION,
     NAMES,
     PAPER_METHODS,
@@ -17,8 +18,7 @@ from mrgs.comparison.paper_tables import (
     published_rows,
     scene_title,
 )
-from mrgs.comparison.table import Outcome, Table, failed
-from mrgs.evaluation.metrics import Missing
+from mrgs_compare.table import Outcome, Table, failed
 from tests.helpers.comparison import metrics_document, outcome_of
 
 PAPER_SCENES = tuple(published()["scenes"])

@@ -7,9 +7,9 @@ import shutil
 import pytest
 from PIL import Image
 
-from mrgs.comparison.plan import Options, Variant, neighbour_methods, plan
 from mrgs.errors import ConfigError, MrgsWarning, SceneError
 from mrgs.training import train
+from mrgs_compare.plan import Options, Variant, neighbour_methods, plan
 from tests.helpers.comparison import tiny_options
 from tests.helpers.scenes import write_scene
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.comparison.plan import PlannedRun
-from mrgs.comparison.processes import CHILD, Progress, run_jobs, threads_each
 from mrgs.training import make_config
+from mrgs_compare.plan import PlannedRun
+from mrgs_compare.processes import CHILD, Progress, run_jobs, threads_each
 
 PRETEND = """
 import json, os, sys

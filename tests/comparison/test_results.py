@@ -4,8 +4,8 @@ import statistics
 
 import pytest
 
-from mrgs.comparison.table import failed, figure_keys, kind_of, outcome, over_scenes, over_seeds
 from mrgs.evaluation.metrics import Missing
+from mrgs_compare.table import failed, figure_keys, kind_of, outcome, over_scenes, over_seeds
 from tests.helpers.comparison import metrics_document
 
 TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015}

@@ -11,7 +11,12 @@ from pathlib import Path
 import pytest
 from PIL import Image, ImageOps
 
-from mrgs.comparison.plan import (
+from mrgs.data import load_scene
+from mrgs.errors import ConfigError
+from mrgs.run_files.folder import RunFolder
+from mrgs.scene import RGB
+from mrgs.training import make_config, train
+from mrgs_compare.plan import (
     SceneData,
     Variant,
     configure,
@@ -21,11 +26,6 @@ from mrgs.comparison.plan import (
     run_one,
     run_scores,
 )
-from mrgs.data import load_scene
-from mrgs.errors import ConfigError
-from mrgs.run_files.folder import RunFolder
-from mrgs.scene import RGB
-from mrgs.training import make_config, train
 from tests.helpers.comparison import tiny_options
 from tests.helpers.runs import made_once
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.comparison.table import (
+from mrgs_compare.table import (
     Cell,
     Group,
     Row,

@@ -133,7 +133,7 @@ def _processes_of(folder: Path) -> list[str]:
             command = path.read_bytes()
         except OSError:
             continue
-        if b"mrgs.comparison.child" in command and os.fsencode(folder) in command:
+        if b"mrgs_compare.child" in command and os.fsencode(folder) in command:
             found.append(path.parent.name)
     return found
 

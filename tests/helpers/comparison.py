@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from mrgs.comparison.plan import Options
-from mrgs.comparison.table import Outcome, outcome
+from mrgs_compare.plan import Options
+from mrgs_compare.table import Outcome, outcome
 
 TINY: dict[str, Any] = {"preset": "fast", "max_steps": 3, "max_gaussians": 60}
 

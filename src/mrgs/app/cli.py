@@ -43,9 +43,9 @@ from mrgs.runs.registry import imported
 from mrgs.system.wording import quoted
 
 if TYPE_CHECKING:
-    from mrgs.comparison.table import Table
     from mrgs.runs.open import Run
     from mrgs.survey import Survey
+    from mrgs_compare.table import Table
 
 EXIT_BAD_SCENE = 1
 
@@ -386,9 +386,17 @@ def _keep_survey(folder: Path, stated: Survey | None) -> None:
 
 def compare(command: commands.CompareMethods) -> None:
     """Train and score methods side by side."""
-    from mrgs.comparison import Options, Variant
-    from mrgs.comparison import compare as compare_methods
-    from mrgs.comparison.table import to_plain
+    try:
+        from mrgs_compare import Options, Variant
+        from mrgs_compare import compare as compare_methods
+        from mrgs_compare.table import to_plain
+    except ModuleNotFoundError as error:
+        if error.name != "mrgs_compare":
+            raise
+        raise ConfigError(
+            "mrgs compare is a package of its own: run `pip install ./plugins/compare` in a "
+            "source checkout"
+        ) from None
 
     variants = _named_paths("--variants", command.variants, "wide=wide.yaml")
     given = (Variant.from_text(name, read_text(file), str(file)) for name, file in variants.items())
@@ -431,7 +439,7 @@ def compare(command: commands.CompareMethods) -> None:
 
 def how_to_read(tables: Sequence[Table], seeds: int) -> list[str]:
     """What the signs of printed tables mean, and whether differences may be by chance."""
-    from mrgs.comparison.table import marks
+    from mrgs_compare.table import marks
 
     lines = []
     if any(any(row) for table in tables for row in marks(table)):

@@ -14,18 +14,6 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from mrgs.comparison.paper_tables import NAMES, Outcomes, all_tables, scene_title
-from mrgs.comparison.plan import (
-    Options,
-    PlannedRun,
-    is_scored,
-    neighbour_methods,
-    plan,
-    read_metrics,
-    run_scores,
-)
-from mrgs.comparison.processes import Progress, run_jobs
-from mrgs.comparison.table import Outcome, Table, failed, outcome, to_csv, to_latex, to_markdown
 from mrgs.data import load_scene
 from mrgs.data.images import read_float_tiff
 from mrgs.errors import ConfigError, MrgsError, SceneError
@@ -56,6 +44,18 @@ from mrgs.system.disk import warn_if_short
 from mrgs.system.gpu import DeviceName
 from mrgs.training import TrainConfig
 from mrgs.training.memory import checkpoint_bytes
+from mrgs_compare.paper_tables import NAMES, Outcomes, all_tables, scene_title
+from mrgs_compare.plan import (
+    Options,
+    PlannedRun,
+    is_scored,
+    neighbour_methods,
+    plan,
+    read_metrics,
+    run_scores,
+)
+from mrgs_compare.processes import Progress, run_jobs
+from mrgs_compare.table import Outcome, Table, failed, outcome, to_csv, to_latex, to_markdown
 
 Say = Callable[[str], None]
 

@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mrgs.comparison.plan import PlannedRun
 from mrgs.system.child import OUT_OF_MEMORY, Child, Message
 from mrgs.system.gpu import DeviceName
 from mrgs.system.strict_yaml import write_yaml
 from mrgs.system.threads import available_cores
+from mrgs_compare.plan import PlannedRun
 
-CHILD = ("-m", "mrgs.comparison.child")
+CHILD = ("-m", "mrgs_compare.child")
 TICK_S = 1.0
 LINE_EVERY_S = 10.0
 

@@ -1,4 +1,4 @@
-"""One run in a process of its own: ``python -m mrgs.comparison.child REQUEST``, started by
+"""One run in a process of its own: ``python -m mrgs_compare.child REQUEST``, started by
 ``processes`` with the protocol of ``mrgs.system.child``.
 
 The request has ``scene``, ``folder``, ``config`` (YAML), ``device`` and ``lpips_weights`` (a path
@@ -18,9 +18,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-from mrgs.comparison.plan import from_text, run_one
 from mrgs.errors import KernelWarning, MrgsError
 from mrgs.system.child import read_request, send, when_asked_to_stop
+from mrgs_compare.plan import from_text, run_one
 
 REPORT_EVERY_S = 1.0
 

@@ -9,10 +9,10 @@ from functools import cache, partial
 from importlib.resources import files
 from typing import Any
 
-from mrgs.comparison.table import Cell, Group, Outcome, Row, Table, kind_of, over_scenes, over_seeds
 from mrgs.evaluation.metrics import REPORTED, Figure, Missing
 from mrgs.pictures.values import capitalised
 from mrgs.scene import THERMAL
+from mrgs_compare.table import Cell, Group, Outcome, Row, Table, kind_of, over_scenes, over_seeds
 
 NAMES = (*(modality.name for modality in REPORTED), "ablation", "neighbours", "truth", "aligned")
 """Names of all possible tables; that of another modality has the modality's name."""
@@ -109,7 +109,7 @@ def published() -> dict[str, Any]:
     """``paper.json``: figures by table, the paper's name of the scene, row and figure. ``scenes``
     maps ThermoScenes' folder names to the paper's; rows of the ablation have this program's method
     names, rows of ``neighbours`` the paper's n."""
-    text = files("mrgs.comparison").joinpath("paper.json").read_text(encoding="utf-8")
+    text = files("mrgs_compare").joinpath("paper.json").read_text(encoding="utf-8")
     content: dict[str, Any] = json.loads(text)
     return content
 
