@@ -153,7 +153,7 @@ def stage_parts(work: Workload, cores: int | None = None) -> dict[str, dict[str,
             "mesh": 3 + 3 * surface,
             "cameras": views * (0.005 + 0.2e-3 * kpx),
             "ortho": 1 + 3 * surface,
-            "elevation": 1 + surface,
+            **dict.fromkeys(("elevation", "marks"), 1 + surface),
         },
     }
     share = 1 - PARALLEL + PARALLEL / (cores or available_cores())

@@ -67,7 +67,7 @@ def blur_backward_kernel(
     plane, sigma, gradient, weight_sums, result, by_sigma, height, width, reach,
     AXIS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """The gradients behind ``blur_kernel``, whose arguments those not named here are.
+    """The gradients behind ``blur_kernel``, which explains the arguments not named here.
 
     Args:
         gradient: by P x, [H, W].

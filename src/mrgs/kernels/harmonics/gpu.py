@@ -130,7 +130,7 @@ def shade_backward_kernel(
     means, camera, dc, rest, values, gradient, grad_means, grad_dc, grad_rest, count, bands, held,
     floor, CHANNELS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """The gradients behind ``shade_kernel``, whose arguments those not named here are.
+    """The gradients behind ``shade_kernel``, which explains the arguments not named here.
 
     Args:
         gradient: by the values, [N, C].

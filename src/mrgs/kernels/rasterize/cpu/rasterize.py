@@ -157,8 +157,7 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Raster:
     """``reference.rasterize`` for float32 tensors on the CPU. ValueError for no layer, or tensors
-    of other types or sizes; MrgsError if the Gaussians reach more tiles than the kernels can
-    number."""
+    of other types or sizes; MrgsError if the Gaussians reach too many tiles to number."""
     count = len(geometry.means)
     offset = _zeros(count, 2) if means2d_offset is None else means2d_offset
     require_pass(geometry, layers, projection, offset)
