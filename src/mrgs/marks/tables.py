@@ -291,7 +291,8 @@ def _geometry(mark: Mark, world: WorldFrame | None) -> dict[str, Any]:
 
 
 def write_rows(path: Path, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Write rows under their columns' names as CSV; returns the path. RunError if it cannot."""
+    """Write rows under the names of their columns as CSV; returns the path. RunError if the file
+    cannot be written."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, names, lineterminator="\n")
     writer.writeheader()
