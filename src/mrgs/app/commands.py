@@ -75,7 +75,15 @@ CropBox = Annotated[
 ]
 ScenePath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
 
-_OF_PREPARE = ("pairs", "pair_table", "poses", "one_camera", "thermal_camera", "eval_every")
+_OF_PREPARE = (
+    "pairs",
+    "pair_table",
+    "poses",
+    "one_camera",
+    "thermal_camera",
+    "control",
+    "eval_every",
+)
 """Options of the same name in ``PrepareOptions``."""
 
 
@@ -143,6 +151,8 @@ class PhotoOptions(PhotoSettings):
     """Chessboard that both cameras see: inner corners and square size in m, such as 7x6 0.05."""
     known_distance: Maybe[tuple[str, str, float]] = None
     """Two pixels of one view and the distance between their points: NAME:X,Y NAME:X,Y METRES."""
+    control: Maybe[Path] = None
+    """CSV file with control points, check points and scale bars in the photos (docs/prepare.md)."""
     eval_every: int = 8
     """Hold out every Nth view for evaluation; 0 holds out none."""
 

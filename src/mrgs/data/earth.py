@@ -9,12 +9,21 @@ the origin up and changes lengths by 2e-5.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from mrgs.data.radiometric import GpsPosition
+from mrgs.errors import ConfigError
 from mrgs.scene import EarthPosition
+from mrgs.system.lazy import optional_package
+
+require_pyproj = partial(optional_package, "pyproj", "map coordinates", "export")
+
+BEYOND_AREA_DEG = 3.0
+"""Surveys use a CRS this far outside of the area that it is made for."""
 
 SEMI_MAJOR_AXIS_M = 6378137.0
 FLATTENING = 1 / 298.257223563
@@ -63,3 +72,44 @@ def _axes(origin: GpsPosition | EarthPosition) -> Float64[np.ndarray, "3 3"]:
     across = np.cos(latitude)
     up = np.array([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)])
     return np.stack([east, np.cross(up, east), up])
+
+
+def projected_crs(name: str) -> Any:
+    """A coordinate reference system in metres, by a code such as ``EPSG:25832``. ConfigError if
+    there is none of this name, it is not projected, or pyproj is not installed."""
+    pyproj = require_pyproj()
+    try:
+        crs = pyproj.CRS.from_user_input(name)
+    except pyproj.exceptions.CRSError:
+        raise ConfigError(
+            f"unknown CRS {name!r}; give a code such as EPSG:25832", options=("crs",)
+        ) from None
+    if not crs.is_projected or {axis.unit_name for axis in crs.axis_info[:2]} != {"metre"}:
+        raise ConfigError(
+            f"{name} ({crs.name}) is not a projected CRS in metres; give one such as EPSG:25832",
+            options=("crs",),
+        )
+    return crs
+
+
+def on_earth(places: Float64[np.ndarray, "n 3"], crs: str) -> list[GpsPosition]:
+    """Positions of easting, northing and height [N, 3] in a CRS. ConfigError as for
+    ``projected_crs``, and if a place is far from where the CRS is for."""
+    system, area = projected_crs(crs), projected_crs(crs).area_of_use
+    transform = require_pyproj().Transformer.from_crs(system, "EPSG:4326", always_xy=True).transform
+
+    def degrees(east: Float64[np.ndarray, " n"], north: Float64[np.ndarray, " n"]) -> Any:
+        found = np.array(transform(east, north))
+        low, high = ((-180, -90), (180, 90)) if area is None else (area.bounds[:2], area.bounds[2:])
+        off = np.maximum(np.subtract(low, found.T), np.subtract(found.T, high))
+        return found.T if (off <= BEYOND_AREA_DEG).all() else None
+
+    found = degrees(places[:, 0], places[:, 1])
+    if found is None:
+        swapped = degrees(places[:, 1], places[:, 0]) is not None
+        remedy = "swap the columns east and north" if swapped else "give the CRS of the coordinates"
+        raise ConfigError(f"the coordinates are not where {system.name} is for; {remedy}")
+    return [
+        GpsPosition(float(latitude), float(longitude), float(height))
+        for (longitude, latitude), height in zip(found, places[:, 2], strict=True)
+    ]

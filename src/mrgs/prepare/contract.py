@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from mrgs.data.radiometric import ExifFacts, GpsPosition, PhotoFacts
 from mrgs.errors import SceneError
-from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame
+from mrgs.scene import RGB, THERMAL, EarthPosition, Modality, PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
 
 Progress = Callable[[str, int, int], None]
@@ -116,6 +117,11 @@ class ConvertedPhotos:
     skipped: tuple[Skipped, ...]
     warnings: tuple[str, ...] = ()
 
+    @property
+    def posed(self) -> Modality:
+        """The modality of the images that get poses."""
+        return RGB if any(RGB in view.images for view in self.views) else THERMAL
+
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
@@ -147,6 +153,25 @@ class Reconstruction:
     world: WorldFrame = field(default=WorldFrame())
 
 
+@dataclass(frozen=True)
+class ControlResidual:
+    """Found minus stated, metres, of a ``control`` or ``check`` point along the axes and in space,
+    or of a ``length``; distance of its marks, px (RMS); and in how many photos these are."""
+
+    name: str
+    role: str
+    shift_m: tuple[float, float, float] | None
+    off_m: float
+    error_px: float
+    photos: int
+
+
+def rms_m(residuals: Sequence[ControlResidual], role: str) -> float | None:
+    """Root mean square of those with a role, metres; None if there are none."""
+    squares = [each.off_m**2 for each in residuals if each.role == role]
+    return math.sqrt(sum(squares) / len(squares)) if squares else None
+
+
 @dataclass(frozen=True, eq=False)
 class Georeference:
     """A similarity from the world of the poses to the scene's world: x' = scale · rotation x +
@@ -160,6 +185,8 @@ class Georeference:
         residual_m: median distance of the cameras from their GPS positions; None without GPS.
         scale_error: standard uncertainty of the scale, as a share; None where it is not from GPS.
         text: one or two sentences for the user.
+        offset: of the new origin in the control points' local frame, metres; None if they agree.
+        control: what control points, check points and stated lengths are off.
     """
 
     scale: float
@@ -172,6 +199,8 @@ class Georeference:
     text: str
     warnings: tuple[str, ...] = ()
     scale_error: float | None = None
+    offset: tuple[float, float, float] | None = None
+    control: tuple[ControlResidual, ...] = ()
 
     @property
     def world(self) -> WorldFrame:
@@ -179,7 +208,9 @@ class Georeference:
         place, origin = self.origin, None
         if place is not None:
             origin = EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
-        return WorldFrame(self.metric, self.north, origin, self.residual_m, self.scale_error)
+        off_m = rms_m(self.control, "check") or rms_m(self.control, "control")
+        known = self.residual_m, self.scale_error, self.offset, off_m
+        return WorldFrame(self.metric, self.north, origin, *known)
 
 
 @dataclass(frozen=True)

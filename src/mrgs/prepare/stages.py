@@ -4,13 +4,16 @@ something that it depends on has changed, and returns a summary."""
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from mrgs.check import fast_problems
 from mrgs.data import load_scene
+from mrgs.data.files import composed
 from mrgs.data.kept import digest, stamps
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError
@@ -26,11 +29,14 @@ from mrgs.prepare.contract import (
     StageSummary,
     TooFewPosesError,
 )
+from mrgs.prepare.control import place_by_control, read_control
 from mrgs.prepare.convert import convert_photos
 from mrgs.prepare.existing import existing_poses
 from mrgs.prepare.georeference import georeference
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.rig.contract import FEWEST_MATCHES, RigCalibration
+from mrgs.prepare.sfm.job import MODEL_FOLDER, SFM_FOLDER
+from mrgs.prepare.sfm.reconstruct import adjusted
 from mrgs.prepare.thermal_camera import (
     Calibrate,
     calibrate_thermal_camera,
@@ -39,7 +45,7 @@ from mrgs.prepare.thermal_camera import (
     stated_field_of_view,
 )
 from mrgs.prepare.work import Work
-from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.scene import THERMAL, Modality
 from mrgs.scene.camera import field_of_view
 from mrgs.system.wording import counted
 
@@ -68,14 +74,33 @@ def images(work: Work) -> StageSummary:
         work.progress,
         turn=work.options.poses is None,  # given poses are those of the images as stored
     )
+    if (control := work.options.control) is not None:
+        work.control = read_control(control, _posed_photos(work))
     return summarize_photos(work.images)
+
+
+def _posed_photos(work: Work) -> dict[str, tuple[str, tuple[int, int]]]:
+    """View and size of the images with poses, by path, name and stem of the photo, and by the
+    view's name, as far as these are unique; all in lower case."""
+    found: dict[str, tuple[str, tuple[int, int]]] = {}
+    counts = Counter[str]()
+    photos = {pair.name: pair.photos for pair in work.pairing.pairs}
+    for view in work.images.views:
+        if work.images.posed not in view.images:
+            continue
+        file = photos[view.name].get(work.images.posed, photos[view.name][THERMAL])
+        path = file.relative_to(work.photos).as_posix()
+        names = {composed(name).lower() for name in (path, file.name, file.stem, view.name)}
+        counts.update(names)
+        found |= dict.fromkeys(names, (view.name, view.images[work.images.posed].size))
+    return {name: found[name] for name in found if counts[name] == 1}
 
 
 def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummary:
     """Camera poses, given or by ``reconstruct``; they depend on the posed images and their GPS
     positions alone, so that other temperatures do not matter."""
     views = work.images.views
-    modality = RGB if any(RGB in view.images for view in views) else THERMAL
+    modality = work.images.posed
     posed = {view.name: view.images[modality] for view in views if modality in view.images}
     files = {name: work.scene / image.file for name, image in posed.items()}
     gps, view_deg, given = work.gps, None, None
@@ -101,13 +126,24 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
 def scale_and_north(work: Work) -> StageSummary:
     """From the world of the poses to the scene's world: metres, and axes east, north, up."""
     found, gps, distance = work.posed, work.gps, work.options.known_distance
-    as_given = work.options.poses is not None
-    work.georeference = work.cache.get(
+    as_given, control = work.options.poses is not None, work.control
+    sfm = work.scene / CACHE_FOLDER / SFM_FOLDER
+
+    def place() -> tuple[Reconstruction | None, Georeference]:
+        if control is None:
+            return None, georeference(found, gps, distance, as_given=as_given)
+        adjust = None
+        if not as_given and (sfm / MODEL_FOLDER).is_dir():
+            adjust = partial(adjusted, sfm, found.images, work.progress)
+        return place_by_control(found, control, gps, adjust, as_given=as_given)
+
+    poses, work.georeference = work.cache.get(
         "scale and north",
-        Georeference,
-        (found, gps, distance, as_given),
-        lambda: georeference(found, gps, distance, as_given=as_given),
+        tuple[Reconstruction | None, Georeference],
+        (found, gps, distance, as_given, control),
+        place,
     )
+    work.poses = poses or work.poses
     return StageSummary((work.georeference.text,), work.georeference.warnings)
 
 

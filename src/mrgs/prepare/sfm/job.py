@@ -16,10 +16,12 @@ Report = Callable[[str, int, int], None]
 """Called with a step's name, and how many of its parts are done and there are."""
 
 JOB_FILE = "job.json"
+SFM_FOLDER = "sfm"
 IMAGE_FOLDER = "images"
 MODEL_FOLDER = "model"
 POINTS_FILE = "points.npz"
 REPORT_FILE = "report.json"
+CONTROL_FILE, ADJUSTED_FOLDER = "control.json", "adjusted"
 
 FORMAT = 5
 """Raise it when features or matches are found in another way: older ones are then discarded."""
@@ -41,6 +43,16 @@ class JobFile(msgspec.Struct, frozen=True):
     positions: tuple[tuple[float, float, float], ...] | None = None
     focal_widths: float | None = None
     format: int = FORMAT
+
+
+class JobControl(msgspec.Struct, frozen=True):
+    """Content of ``CONTROL_FILE``: a similarity from the model's world to that of the points, and
+    for each point its place and rows of an image's file, x and y."""
+
+    scale: float
+    rotation: list[list[float]]
+    translation: list[float]
+    points: list[tuple[tuple[float, float, float], list[tuple[str, float, float]]]]
 
 
 class ImageReport(msgspec.Struct, frozen=True):

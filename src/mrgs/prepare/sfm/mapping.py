@@ -203,7 +203,7 @@ def map_images(
             if point.track.length() < least or point.error > MAX_ERROR_PX:
                 models[0].delete_point3D(number)
         models[0].write_binary(fresh)
-        _save_points(models[0], job.files, fresh / POINTS_FILE)
+        save_points(models[0], job.files, fresh / POINTS_FILE)
     (fresh / REPORT_FILE).write_bytes(msgspec.json.encode(_report(job, models, nearby)))
     os.replace(fresh, job.folder / MODEL_FOLDER)
 
@@ -288,7 +288,7 @@ def _models(
     return sorted(models.values(), key=lambda model: model.num_reg_images(), reverse=True)
 
 
-def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Path) -> None:
+def save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Path) -> None:
     """Positions, colours (0 to 255), and which image sees which point: rows of (place in ``files``,
     row of a point)."""
     places = {name: place for place, name in enumerate(files)}

@@ -1,0 +1,346 @@
+"""Control points, check points and scale bars: places that are marked in photos, and the scale and
+axes that they give a reconstruction."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple, TypeAlias
+
+import msgspec
+import numpy as np
+import torch
+from jaxtyping import Float64
+
+from mrgs.data.earth import enu, on_earth
+from mrgs.data.files import composed, table_rows
+from mrgs.data.radiometric import GpsPosition
+from mrgs.errors import ConfigError, SceneError, scene_error
+from mrgs.prepare.contract import ControlResidual, Georeference, Reconstruction
+from mrgs.prepare.georeference import KNOWN, centres, georeference, up_of_cameras
+from mrgs.scene.similarity import Points, Similarity, fit_similarity
+from mrgs.system.wording import counted, shown
+
+Photos: TypeAlias = Mapping[str, tuple[str, tuple[int, int]]]
+"""View, and width and height in pixels, by the names of its photo in lower case."""
+
+MIN_POINTS = 3
+FLAT = 0.03
+"""Points lie on a line if their spread across it is at most this share of that along it."""
+
+CONTRADICTION = 0.05
+"""Points contradict each other if their RMS residual is a larger share of their spread."""
+
+LARGEST_ERROR_PX, LEAST_ANGLE_DEG = 10.0, 2.0
+"""Marks of one place meet better than that, and rays to it are farther apart."""
+
+OFFSET_FROM_M, OFFSET_STEP_M = 1000.0, 100.0
+"""Local coordinates that are larger get an origin near the points, as float32 has seven digits."""
+
+_EXAMPLE = "write name,east,north,height,view,x,y into the first line, and metres and pixels below"
+_GCP_LIST = ("east", "north", "height", "x", "y", "view", "name")
+_DEGREES, _NARROWEST_M = [180.0, 90.0], 0.02
+_ITERATIONS = 5
+_Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e8, le=1e8)] | None
+
+
+class _Row(msgspec.Struct):
+    name: str = ""
+    east: _Number = None
+    north: _Number = None
+    height: _Number = None
+    view: str = ""
+    x: _Number = None
+    y: _Number = None
+    role: Literal["control", "check"] = "control"
+    crs: str = ""
+    to: str = ""
+    length: Annotated[float, msgspec.Meta(gt=0, le=1e6)] | None = None
+
+
+@dataclass
+class ControlPoint:
+    """Pixels of a place by view, x and y from the image's upper left corner; its surveyed metres
+    east, north and up, None for ends of scale bars; and whether it is only compared."""
+
+    marks: dict[str, tuple[float, float]] = field(default_factory=dict)
+    place: tuple[float, float, float] | None = None
+    check: bool = False
+
+
+@dataclass
+class ControlPoints:
+    """Points by name; scale bars, two names and metres; and the CRS, empty for a local frame."""
+
+    points: dict[str, ControlPoint] = field(default_factory=dict)
+    bars: list[tuple[str, str, float]] = field(default_factory=list)
+    crs: str = ""
+
+
+def read_control(file: Path, photos: Photos) -> ControlPoints:
+    """The points in a table, a line an observation (name, east, north, height, view, x, y; perhaps
+    role and crs) or a scale bar (name, to, length); or in OpenDroneMap's ``gcp_list.txt``.
+    SceneError, with the line, if one cannot be read, contradicts another, or names no photo or a
+    pixel outside of it; if the coordinates are degrees, or a point has none of what it needs."""
+    control, columns = ControlPoints(), tuple[str, ...]()
+    for number, cells in table_rows(file, _EXAMPLE):
+        if not columns and re.match(r"EPSG:|\+proj|WGS", cells[0], re.IGNORECASE):
+            utm = r"(?i)^WGS ?84 UTM (\d+)([NS])$"
+            control.crs = re.sub(utm, r"WGS 84 / UTM zone \1\2", " ".join(cells))
+            columns = _GCP_LIST
+        elif not columns:
+            columns = tuple(cell.lower() for cell in cells)
+            if "name" not in columns:
+                raise scene_error(file, f"the first line names no columns; {_EXAMPLE}")
+        elif not cells[0].startswith("#"):
+            try:
+                _add(dict(zip(columns, cells, strict=False)), control, photos)
+            except ValueError as problem:
+                raise scene_error(file, f"line {number}: {problem}") from None
+    ends = {name for *both, _ in control.bars for name in both}
+    for name in sorted(ends | control.points.keys()):
+        point = control.points.get(name, ControlPoint())
+        if not point.marks or (point.place is None and name not in ends):
+            raise scene_error(
+                file, f"{name} needs pixels, and coordinates or a scale bar; add them"
+            )
+    plan = np.array([point.place[:2] for point in control.points.values() if point.place])
+    if (
+        len(plan) > 1
+        and (abs(plan) <= _DEGREES).all()
+        and np.ptp(plan, axis=0).max() < _NARROWEST_M
+    ):
+        raise scene_error(file, "the coordinates look like degrees; give metres, such as UTM")
+    return control
+
+
+def _add(cells: dict[str, str], control: ControlPoints, photos: Photos) -> None:
+    """Add a line. ValueError if it is neither an observation nor a scale bar."""
+    texts = {key: re.sub(r"^(-?\d+),(\d+)$", r"\1.\2", cell) for key, cell in cells.items() if cell}
+    try:
+        row = msgspec.convert(texts, _Row, strict=False)
+    except msgspec.ValidationError as error:
+        column = str(error).rpartition("$.")[2].strip("`")
+        raise ValueError(f"{column} is {shown(texts[column])}; {_EXAMPLE}") from None
+    if control.crs not in ("", row.crs or control.crs):
+        raise ValueError(f"the CRS is {row.crs}, and {control.crs} above; give all points in one")
+    control.crs = row.crs or control.crs
+    if row.to or row.length is not None:
+        if not (row.name and row.to) or row.length is None:
+            raise ValueError("a scale bar needs name, to and length: two points and metres")
+        control.bars.append((row.name, row.to, row.length))
+        return
+    place = row.east, row.north, row.height
+    point = control.points.setdefault(name := row.name or f"{place}", ControlPoint())
+    point.check |= row.role == "check"
+    if place != (None, None, None):
+        if None in place or point.place not in (None, place):
+            raise ValueError(f"{name} lacks a coordinate, or has others above; correct one of them")
+        point.place = place
+    if not row.view:
+        return
+    if (photo := photos.get(composed(row.view.replace("\\", "/")).lower())) is None:
+        raise ValueError(
+            f"no photo, or more than one, has the name {shown(row.view)}; correct it, or give its "
+            f"path"
+        )
+    view, (width, height) = photo
+    if row.x is None or row.y is None or not (0 <= row.x <= width and 0 <= row.y <= height):
+        raise ValueError(f"the mark is not in {row.view}, {width}×{height} px; correct x and y")
+    if view in point.marks:
+        raise ValueError(f"{name} is marked in {row.view} twice; delete one of the lines")
+    point.marks[view] = row.x, row.y
+
+
+Adjust: TypeAlias = Callable[[Similarity, Sequence[ControlPoint]], Reconstruction]
+"""The reconstruction in the world of a similarity, adjusted to points with places in it."""
+
+
+def place_by_control(
+    found: Reconstruction,
+    control: ControlPoints,
+    gps: Mapping[str, GpsPosition],
+    adjust: Adjust | None = None,
+    *,
+    as_given: bool = False,
+) -> tuple[Reconstruction, Georeference]:
+    """The reconstruction, which ``adjust`` may change, and the similarity to the control points'
+    frame. Two points, and scale bars without points, give the scale; GPS or the cameras then give
+    the axes. SceneError if there are fewer, they lie on a line or contradict each other, their
+    marks do not meet, or the scene would be upside down."""
+    points, offset, origin = _in_metres(control)
+    seen, warnings = _seen(points, found)
+    bars = [bar for bar in control.bars if {*bar[:2]} <= seen.keys()]
+    fitted = [name for name in seen if points[name].place and not points[name].check]
+    places = np.array([points[name].place for name in fitted])
+    if len(fitted) < MIN_POINTS:
+        if len(fitted) == 2 and not bars:
+            bars = [(*fitted, float(np.linalg.norm(places[1] - places[0])))]
+            warnings += ("2 control points give no axes: mark a third, beside their line.",)
+        if not bars:
+            usable = f"{counted(len(fitted), 'control point')} can be used; mark {MIN_POINTS}"
+            raise _error(" ".join((f"{usable}, each in two photos.", *warnings)))
+        lengths = [np.linalg.norm(seen[a].place - seen[b].place) for a, b, _ in bars]
+        scale = float(np.dot([bar[2] for bar in bars], lengths) / np.dot(lengths, lengths))
+        rest = georeference(found, gps, scale, as_given=as_given)
+        stated = f"The scale is that of {counted(len(bars), 'stated length')}."
+        measured = _residuals({}, bars, seen, Similarity(scale, np.eye(3), np.zeros(3)))
+        text, warnings = rest.text.replace(KNOWN, stated), (*warnings, *rest.warnings)
+        return found, replace(rest, text=text, warnings=warnings, control=measured)
+    similarity = _fit(fitted, np.array([seen[name].place for name in fitted]), places, found)
+    if adjust is not None:
+        found = adjust(similarity, [points[name] for name in fitted])
+        seen, similarity = _seen(points, found)[0], Similarity(1.0, np.eye(3), np.zeros(3))
+    residuals = _residuals(points, bars, seen, similarity)
+    off = float(np.linalg.norm([each.off_m for each in residuals if each.role == "control"]))
+    spread = float(np.linalg.norm(places - places.mean(axis=0)))
+    return found, Georeference(
+        scale=similarity.scale,
+        rotation=torch.from_numpy(similarity.rotation),
+        translation=torch.from_numpy(similarity.translation),
+        metric=True,
+        north=True,
+        origin=origin,
+        residual_m=None,
+        text=f"{len(fitted)} control points give metres and the axes east, north, up; GPS and "
+        f"known distances are not used.",
+        warnings=warnings,
+        scale_error=off / math.sqrt(3 * len(fitted) - 7) / spread,
+        offset=offset,
+        control=residuals,
+    )
+
+
+class _Seen(NamedTuple):
+    """Where the rays of a point's marks meet, and the marks' distance from there, px (RMS)."""
+
+    place: Float64[np.ndarray, "3"]
+    error_px: float
+    photos: int
+
+
+def _error(text: str) -> SceneError:
+    return SceneError(text, options=("control",))
+
+
+def _in_metres(
+    control: ControlPoints,
+) -> tuple[dict[str, ControlPoint], tuple[float, float, float] | None, GpsPosition | None]:
+    """The points in metres east, north and up of the scene's origin; its coordinates in a local
+    frame, None for 0, 0, 0; and on Earth, if the CRS is known."""
+    names = [name for name, point in control.points.items() if point.place]
+    places = np.array([control.points[name].place for name in names]).reshape(-1, 3)
+    offset, origin = np.zeros(3), None
+    if control.crs and names:
+        try:
+            positions = on_earth(places, control.crs)
+        except ConfigError as error:
+            raise _error(f"control points: {error.message}") from None
+        origin = GpsPosition(*np.mean([astuple(each) for each in positions], axis=0).tolist())
+        places = enu(positions, origin)
+    elif np.abs(places).max(initial=0) > OFFSET_FROM_M:
+        offset = np.floor(places.mean(axis=0) / OFFSET_STEP_M) * OFFSET_STEP_M
+    moved = dict(zip(names, map(tuple, (places - offset).tolist()), strict=True))
+    points = {name: replace(each, place=moved.get(name)) for name, each in control.points.items()}
+    return points, tuple(offset.tolist()) if offset.any() else None, origin
+
+
+def _seen(
+    points: Mapping[str, ControlPoint], found: Reconstruction
+) -> tuple[dict[str, _Seen], tuple[str, ...]]:
+    """The points that photos with a pose show from two places, and a warning for each other one.
+    SceneError if marks do not meet."""
+    seen, warnings = dict[str, _Seen](), list[str]()
+    for name, point in points.items():
+        marks = {view: mark for view, mark in point.marks.items() if view in found.viewmats}
+        if lost := sorted(point.marks.keys() - marks.keys()):
+            warnings.append(f"{name} is marked in {', '.join(lost)}, without a pose.")
+        place, errors_px, angle_deg = _meeting(marks, found) if marks else (np.zeros(3), [], 0)
+        if angle_deg < LEAST_ANGLE_DEG:
+            warnings.append(f"{name} is not used: mark it in two photos, from different places.")
+        elif max(errors_px) > LARGEST_ERROR_PX:
+            worst = [*marks][int(np.argmax(errors_px))]
+            off = f"that in {worst} is {max(errors_px):.0f} px off"
+            raise _error(f"the marks of {name} do not meet: {off}; correct it")
+        else:
+            seen[name] = _Seen(place, float(np.sqrt(np.mean(errors_px**2))), len(marks))
+    return seen, tuple(warnings)
+
+
+def _meeting(
+    marks: Mapping[str, tuple[float, float]], found: Reconstruction
+) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, " n"], float]:
+    """The place nearest to the marks' rays, by least squares in pixels; its distance from each, px,
+    infinite behind the camera; and the largest angle between two rays, degrees."""
+    lenses = [found.lenses[view] for view in marks]
+    pixels = zip(lenses, marks.values(), strict=True)
+    rays = np.array([(*lens.rays(*map(np.array, pixel)), 1.0) for lens, pixel in pixels])
+    turns = np.stack([found.viewmats[view].numpy()[:3, :3] for view in marks])
+    rays = np.einsum("nij,ni->nj", turns, rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    across = np.eye(3) - rays[:, :, None] * rays[:, None]
+    eyes, focal = centres(found, marks), np.array([lens.fx for lens in lenses])
+    weights = np.ones(len(rays))
+    for _ in range(_ITERATIONS):
+        right = np.einsum("n,nij,nj->i", weights, across, eyes)
+        place = np.linalg.lstsq(np.einsum("n,nij->ij", weights, across), right, rcond=None)[0]
+        weights = focal**2 / np.maximum(((place - eyes) ** 2).sum(axis=1), 1e-12)
+    ahead = np.einsum("ni,ni->n", rays, place - eyes)
+    off = np.linalg.norm(place - eyes - ahead[:, None] * rays, axis=1)
+    errors_px = np.where(ahead > 0, np.sqrt(weights) * off, np.inf)
+    return place, errors_px, math.degrees(math.acos(np.clip((rays @ rays.T).min(), -1, 1)))
+
+
+def _fit(names: Sequence[str], source: Points, target: Points, found: Reconstruction) -> Similarity:
+    """The similarity of the points. SceneError if they do not determine it, or contradict each
+    other or how the cameras were held."""
+
+    def rms(chosen: Sequence[int], target: Points = target) -> float:
+        fit = fit_similarity(source[chosen], target[chosen])
+        return math.sqrt(((fit(source[chosen]) - target[chosen]) ** 2).sum() / len(chosen))
+
+    spread = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
+    if spread[1] <= FLAT * spread[0]:
+        raise _error("the control points lie on a line, about which the scene could turn; add one")
+    every = range(len(names))
+    if rms(every) > CONTRADICTION * np.linalg.norm(spread) / math.sqrt(len(names)):
+        rests = [[other for other in every if other != one] for one in every]
+        one = int(np.argmin([rms(rest) for rest in rests]))
+        off = fit_similarity(source[rests[one]], target[rests[one]])(source) - target
+        worst = f"{names[one]} is {np.linalg.norm(off[one]):.2g} m off the others"
+        if len(names) == MIN_POINTS:
+            worst = f"{', '.join(names)} fit to {rms(every):.2g} m"
+        swapped = rms(every, target[:, [1, 0, 2]]) < rms(every) / 3
+        remedy = "swap east and north" if swapped else "correct its coordinates or marks"
+        raise _error(f"the control points contradict each other: {worst}; {remedy}")
+    similarity = fit_similarity(source, target)
+    if similarity.rotation[2] @ up_of_cameras(found) < 0:
+        raise _error("the control points turn the scene upside down; swap east and north")
+    return similarity
+
+
+def _residuals(
+    points: Mapping[str, ControlPoint],
+    bars: Sequence[tuple[str, str, float]],
+    seen: Mapping[str, _Seen],
+    similarity: Similarity,
+) -> tuple[ControlResidual, ...]:
+    """Found minus stated: of control points, then of check points, then of lengths."""
+    found = []
+    for name, (place, error_px, photos) in seen.items():
+        if name in points and (stated := points[name].place):
+            shift = similarity(place[None])[0] - stated
+            role, off_m = "check" if points[name].check else "control", float(np.linalg.norm(shift))
+            found.append(
+                ControlResidual(name, role, tuple(shift.tolist()), off_m, error_px, photos)
+            )
+    found.sort(key=lambda each: each.role == "check")
+    for first, second, metres in bars:
+        one, two = seen[first], seen[second]
+        off_m = similarity.scale * float(np.linalg.norm(one.place - two.place)) - metres
+        error_px, photos = max(one.error_px, two.error_px), min(one.photos, two.photos)
+        name = f"{first} – {second}"
+        found.append(ControlResidual(name, "length", None, off_m, error_px, photos))
+    return tuple(found)
