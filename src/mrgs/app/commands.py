@@ -75,15 +75,7 @@ CropBox = Annotated[
 ]
 ScenePath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
 
-_OF_PREPARE = (
-    "pairs",
-    "pair_table",
-    "poses",
-    "one_camera",
-    "thermal_camera",
-    "control",
-    "eval_every",
-)
+_OF_PREPARE = ("pairs", "pair_table", "poses", "one_camera", "thermal_camera", "eval_every")
 """Options of the same name in ``PrepareOptions``."""
 
 
@@ -167,6 +159,7 @@ class PhotoOptions(PhotoSettings):
             tolerance_s=self.tolerance,
             camera=self.camera,
             thermal_fov_deg=self.thermal_fov,
+            control=self.control,
             target=None if target is None else parse_target(*target),
             known_distance=None if known is None else parse_known_distance(*known),
             **{name: getattr(self, name) for name in _OF_PREPARE},

@@ -22,6 +22,7 @@ from mrgs.system.lazy import optional_package
 
 require_pyproj = partial(optional_package, "pyproj", "map coordinates", "export")
 
+WORLD = (-180, -90, 180, 90)
 BEYOND_AREA_DEG = 3.0
 """Surveys use a CRS this far outside of the area that it is made for."""
 
@@ -95,21 +96,13 @@ def projected_crs(name: str) -> Any:
 def on_earth(places: Float64[np.ndarray, "n 3"], crs: str) -> list[GpsPosition]:
     """Positions of easting, northing and height [N, 3] in a CRS. ConfigError as for
     ``projected_crs``, and if a place is far from where the CRS is for."""
-    system, area = projected_crs(crs), projected_crs(crs).area_of_use
-    transform = require_pyproj().Transformer.from_crs(system, "EPSG:4326", always_xy=True).transform
-
-    def degrees(east: Float64[np.ndarray, " n"], north: Float64[np.ndarray, " n"]) -> Any:
-        found = np.array(transform(east, north))
-        low, high = ((-180, -90), (180, 90)) if area is None else (area.bounds[:2], area.bounds[2:])
-        off = np.maximum(np.subtract(low, found.T), np.subtract(found.T, high))
-        return found.T if (off <= BEYOND_AREA_DEG).all() else None
-
-    found = degrees(places[:, 0], places[:, 1])
-    if found is None:
-        swapped = degrees(places[:, 1], places[:, 0]) is not None
-        remedy = "swap the columns east and north" if swapped else "give the CRS of the coordinates"
-        raise ConfigError(f"the coordinates are not where {system.name} is for; {remedy}")
-    return [
-        GpsPosition(float(latitude), float(longitude), float(height))
-        for (longitude, latitude), height in zip(found, places[:, 2], strict=True)
-    ]
+    system = projected_crs(crs)
+    to_degrees = require_pyproj().Transformer.from_crs(system, "EPSG:4326", always_xy=True)
+    found = np.column_stack(to_degrees.transform(places[:, 0], places[:, 1]))
+    low, high = np.reshape(system.area_of_use.bounds if system.area_of_use else WORLD, (2, 2))
+    if not (np.maximum(low - found, found - high) <= BEYOND_AREA_DEG).all():
+        raise ConfigError(
+            f"the coordinates are not where {system.name} is for; name their CRS, and swap east "
+            f"and north if these are swapped"
+        )
+    return [GpsPosition(y, x, z) for (x, y), z in zip(found.tolist(), places[:, 2], strict=True)]

@@ -155,15 +155,15 @@ class Reconstruction:
 
 @dataclass(frozen=True)
 class ControlResidual:
-    """Found minus stated, metres, of a ``control`` or ``check`` point along the axes and in space,
-    or of a ``length``; distance of its marks, px (RMS); and in how many photos these are."""
+    """Found minus stated, metres, of a ``control`` or ``check`` point or of a ``length``; distance
+    of its marks, px (RMS); in how many photos these are; and what a point is off along the axes."""
 
     name: str
     role: str
-    shift_m: tuple[float, float, float] | None
     off_m: float
     error_px: float
     photos: int
+    shift_m: tuple[float, float, float] | None = None
 
 
 def rms_m(residuals: Sequence[ControlResidual], role: str) -> float | None:
@@ -208,7 +208,8 @@ class Georeference:
         place, origin = self.origin, None
         if place is not None:
             origin = EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
-        off_m = rms_m(self.control, "check") or rms_m(self.control, "control")
+        roles = ("check", "control", "length")
+        off_m = next(filter(None, (rms_m(self.control, role) for role in roles)), None)
         known = self.residual_m, self.scale_error, self.offset, off_m
         return WorldFrame(self.metric, self.north, origin, *known)
 

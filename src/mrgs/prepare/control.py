@@ -19,7 +19,7 @@ from mrgs.data.earth import enu, on_earth
 from mrgs.data.files import composed, table_rows
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import ConfigError, SceneError, scene_error
-from mrgs.prepare.contract import ControlResidual, Georeference, Reconstruction
+from mrgs.prepare.contract import ControlResidual, Georeference, Reconstruction, rms_m
 from mrgs.prepare.georeference import KNOWN, centres, georeference, up_of_cameras
 from mrgs.scene.similarity import Points, Similarity, fit_similarity
 from mrgs.system.wording import counted, shown
@@ -27,6 +27,9 @@ from mrgs.system.wording import counted, shown
 Photos: TypeAlias = Mapping[str, tuple[str, tuple[int, int]]]
 """View, and width and height in pixels, by the names of its photo in lower case."""
 
+Place: TypeAlias = tuple[float, float, float]
+Marks: TypeAlias = dict[str, tuple[float, float]]
+Bar: TypeAlias = tuple[str, str, float]
 MIN_POINTS = 3
 FLAT = 0.03
 """Points lie on a line if their spread across it is at most this share of that along it."""
@@ -66,8 +69,8 @@ class ControlPoint:
     """Pixels of a place by view, x and y from the image's upper left corner; its surveyed metres
     east, north and up, None for ends of scale bars; and whether it is only compared."""
 
-    marks: dict[str, tuple[float, float]] = field(default_factory=dict)
-    place: tuple[float, float, float] | None = None
+    marks: Marks = field(default_factory=dict)
+    place: Place | None = None
     check: bool = False
 
 
@@ -76,7 +79,7 @@ class ControlPoints:
     """Points by name; scale bars, two names and metres; and the CRS, empty for a local frame."""
 
     points: dict[str, ControlPoint] = field(default_factory=dict)
-    bars: list[tuple[str, str, float]] = field(default_factory=list)
+    bars: list[Bar] = field(default_factory=list)
     crs: str = ""
 
 
@@ -133,13 +136,13 @@ def _add(cells: dict[str, str], control: ControlPoints, photos: Photos) -> None:
             raise ValueError("a scale bar needs name, to and length: two points and metres")
         control.bars.append((row.name, row.to, row.length))
         return
-    place = row.east, row.north, row.height
+    place = [each for each in (row.east, row.north, row.height) if each is not None]
     point = control.points.setdefault(name := row.name or f"{place}", ControlPoint())
     point.check |= row.role == "check"
-    if place != (None, None, None):
-        if None in place or point.place not in (None, place):
+    if place:
+        if len(place) < 3 or point.place not in (None, (*place,)):
             raise ValueError(f"{name} lacks a coordinate, or has others above; correct one of them")
-        point.place = place
+        point.place = (place[0], place[1], place[2])
     if not row.view:
         return
     if (photo := photos.get(composed(row.view.replace("\\", "/")).lower())) is None:
@@ -155,8 +158,16 @@ def _add(cells: dict[str, str], control: ControlPoints, photos: Photos) -> None:
     point.marks[view] = row.x, row.y
 
 
-Adjust: TypeAlias = Callable[[Similarity, Sequence[ControlPoint]], Reconstruction]
-"""The reconstruction in the world of a similarity, adjusted to points with places in it."""
+Adjust: TypeAlias = Callable[[Similarity, Sequence[tuple[Place | None, Marks]]], Reconstruction]
+"""The reconstruction in the world of a similarity, adjusted to places in it."""
+
+
+class _Seen(NamedTuple):
+    """A point, where the rays of its marks meet, and their distance from there, px (RMS)."""
+
+    point: ControlPoint
+    place: Float64[np.ndarray, "3"]
+    error_px: float
 
 
 def place_by_control(
@@ -174,52 +185,46 @@ def place_by_control(
     points, offset, origin = _in_metres(control)
     seen, warnings = _seen(points, found)
     bars = [bar for bar in control.bars if {*bar[:2]} <= seen.keys()]
-    fitted = [name for name in seen if points[name].place and not points[name].check]
-    places = np.array([points[name].place for name in fitted])
+    fitted = [name for name, each in seen.items() if each.point.place and not each.point.check]
+    target = np.array([points[name].place for name in fitted])
     if len(fitted) < MIN_POINTS:
         if len(fitted) == 2 and not bars:
-            bars = [(*fitted, float(np.linalg.norm(places[1] - places[0])))]
+            bars = [(fitted[0], fitted[1], float(np.linalg.norm(target[1] - target[0])))]
             warnings += ("2 control points give no axes: mark a third, beside their line.",)
         if not bars:
             usable = f"{counted(len(fitted), 'control point')} can be used; mark {MIN_POINTS}"
             raise _error(" ".join((f"{usable}, each in two photos.", *warnings)))
         lengths = [np.linalg.norm(seen[a].place - seen[b].place) for a, b, _ in bars]
         scale = float(np.dot([bar[2] for bar in bars], lengths) / np.dot(lengths, lengths))
-        rest = georeference(found, gps, scale, as_given=as_given)
-        stated = f"The scale is that of {counted(len(bars), 'stated length')}."
-        measured = _residuals({}, bars, seen, Similarity(scale, np.eye(3), np.zeros(3)))
-        text, warnings = rest.text.replace(KNOWN, stated), (*warnings, *rest.warnings)
-        return found, replace(rest, text=text, warnings=warnings, control=measured)
-    similarity = _fit(fitted, np.array([seen[name].place for name in fitted]), places, found)
+        rest, residuals = (
+            georeference(found, gps, scale, as_given=as_given),
+            _of_bars(bars, seen, scale),
+        )
+        text = rest.text.replace(KNOWN, f"{counted(len(bars), 'stated length')} give the scale.")
+        text, warnings = f"{text}{_accuracy(residuals)}", (*warnings, *rest.warnings)
+        return found, replace(rest, text=text, warnings=warnings, control=residuals)
+    similarity = _fit(fitted, np.array([seen[name].place for name in fitted]), target, found)
     if adjust is not None:
-        found = adjust(similarity, [points[name] for name in fitted])
+        marked = [(points[name].place, seen[name].point.marks) for name in fitted]
+        found = adjust(similarity, marked)
         seen, similarity = _seen(points, found)[0], Similarity(1.0, np.eye(3), np.zeros(3))
-    residuals = _residuals(points, bars, seen, similarity)
-    off = float(np.linalg.norm([each.off_m for each in residuals if each.role == "control"]))
-    spread = float(np.linalg.norm(places - places.mean(axis=0)))
+    residuals = _of_points(seen, similarity) + _of_bars(bars, seen, similarity.scale)
+    off, spread = rms_m(residuals, "control") or 0.0, np.linalg.norm(target - target.mean(axis=0))
     return found, Georeference(
-        scale=similarity.scale,
-        rotation=torch.from_numpy(similarity.rotation),
-        translation=torch.from_numpy(similarity.translation),
+        similarity.scale,
+        torch.from_numpy(similarity.rotation),
+        torch.from_numpy(similarity.translation),
         metric=True,
         north=True,
         origin=origin,
         residual_m=None,
         text=f"{len(fitted)} control points give metres and the axes east, north, up; GPS and "
-        f"known distances are not used.",
+        f"known distances are not used.{_accuracy(residuals)}",
         warnings=warnings,
-        scale_error=off / math.sqrt(3 * len(fitted) - 7) / spread,
+        scale_error=off / math.sqrt(3 - 7 / len(fitted)) / float(spread),
         offset=offset,
         control=residuals,
     )
-
-
-class _Seen(NamedTuple):
-    """Where the rays of a point's marks meet, and the marks' distance from there, px (RMS)."""
-
-    place: Float64[np.ndarray, "3"]
-    error_px: float
-    photos: int
 
 
 def _error(text: str) -> SceneError:
@@ -228,7 +233,7 @@ def _error(text: str) -> SceneError:
 
 def _in_metres(
     control: ControlPoints,
-) -> tuple[dict[str, ControlPoint], tuple[float, float, float] | None, GpsPosition | None]:
+) -> tuple[dict[str, ControlPoint], Place | None, GpsPosition | None]:
     """The points in metres east, north and up of the scene's origin; its coordinates in a local
     frame, None for 0, 0, 0; and on Earth, if the CRS is known."""
     names = [name for name, point in control.points.items() if point.place]
@@ -251,42 +256,45 @@ def _in_metres(
 def _seen(
     points: Mapping[str, ControlPoint], found: Reconstruction
 ) -> tuple[dict[str, _Seen], tuple[str, ...]]:
-    """The points that photos with a pose show from two places, and a warning for each other one.
-    SceneError if marks do not meet."""
-    seen, warnings = dict[str, _Seen](), list[str]()
+    """The points that photos with a pose show from two places, with these marks alone, and a
+    warning for each other one. SceneError if marks do not meet."""
+    seen: dict[str, _Seen] = {}
+    warnings: list[str] = []
     for name, point in points.items():
         marks = {view: mark for view, mark in point.marks.items() if view in found.viewmats}
         if lost := sorted(point.marks.keys() - marks.keys()):
             warnings.append(f"{name} is marked in {', '.join(lost)}, without a pose.")
-        place, errors_px, angle_deg = _meeting(marks, found) if marks else (np.zeros(3), [], 0)
-        if angle_deg < LEAST_ANGLE_DEG:
+        place, errors_px, angle_deg = _meeting(marks, found) if marks else (None, None, 0.0)
+        if place is None or errors_px is None or angle_deg < LEAST_ANGLE_DEG:
             warnings.append(f"{name} is not used: mark it in two photos, from different places.")
-        elif max(errors_px) > LARGEST_ERROR_PX:
-            worst = [*marks][int(np.argmax(errors_px))]
-            off = f"that in {worst} is {max(errors_px):.0f} px off"
-            raise _error(f"the marks of {name} do not meet: {off}; correct it")
+        elif (worst := float(errors_px.max())) > LARGEST_ERROR_PX:
+            view = [*marks][int(errors_px.argmax())]
+            raise _error(
+                f"the marks of {name} do not meet: that in {view} is {worst:.0f} px off; correct it"
+            )
         else:
-            seen[name] = _Seen(place, float(np.sqrt(np.mean(errors_px**2))), len(marks))
+            rms_px = float(np.sqrt(np.mean(errors_px**2)))
+            seen[name] = _Seen(replace(point, marks=marks), place, rms_px)
     return seen, tuple(warnings)
 
 
 def _meeting(
-    marks: Mapping[str, tuple[float, float]], found: Reconstruction
+    marks: Marks, found: Reconstruction
 ) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, " n"], float]:
     """The place nearest to the marks' rays, by least squares in pixels; its distance from each, px,
     infinite behind the camera; and the largest angle between two rays, degrees."""
     lenses = [found.lenses[view] for view in marks]
-    pixels = zip(lenses, marks.values(), strict=True)
-    rays = np.array([(*lens.rays(*map(np.array, pixel)), 1.0) for lens, pixel in pixels])
+    pixels = zip(lenses, np.array([*marks.values()])[..., None], strict=True)
+    rays = np.array([(*np.ravel(lens.rays(*pixel)), 1.0) for lens, pixel in pixels])
     turns = np.stack([found.viewmats[view].numpy()[:3, :3] for view in marks])
     rays = np.einsum("nij,ni->nj", turns, rays / np.linalg.norm(rays, axis=1, keepdims=True))
     across = np.eye(3) - rays[:, :, None] * rays[:, None]
-    eyes, focal = centres(found, marks), np.array([lens.fx for lens in lenses])
-    weights = np.ones(len(rays))
+    eyes, weights = centres(found, marks), np.ones(len(rays))
     for _ in range(_ITERATIONS):
         right = np.einsum("n,nij,nj->i", weights, across, eyes)
         place = np.linalg.lstsq(np.einsum("n,nij->ij", weights, across), right, rcond=None)[0]
-        weights = focal**2 / np.maximum(((place - eyes) ** 2).sum(axis=1), 1e-12)
+        distances = np.maximum(np.linalg.norm(place - eyes, axis=1), 1e-9)
+        weights = (np.array([lens.fx for lens in lenses]) / distances) ** 2
     ahead = np.einsum("ni,ni->n", rays, place - eyes)
     off = np.linalg.norm(place - eyes - ahead[:, None] * rays, axis=1)
     errors_px = np.where(ahead > 0, np.sqrt(weights) * off, np.inf)
@@ -321,26 +329,32 @@ def _fit(names: Sequence[str], source: Points, target: Points, found: Reconstruc
     return similarity
 
 
-def _residuals(
-    points: Mapping[str, ControlPoint],
-    bars: Sequence[tuple[str, str, float]],
-    seen: Mapping[str, _Seen],
-    similarity: Similarity,
-) -> tuple[ControlResidual, ...]:
-    """Found minus stated: of control points, then of check points, then of lengths."""
+def _of_points(seen: Mapping[str, _Seen], similarity: Similarity) -> tuple[ControlResidual, ...]:
+    """Found minus stated: of control points, then of check points."""
     found = []
-    for name, (place, error_px, photos) in seen.items():
-        if name in points and (stated := points[name].place):
-            shift = similarity(place[None])[0] - stated
-            role, off_m = "check" if points[name].check else "control", float(np.linalg.norm(shift))
-            found.append(
-                ControlResidual(name, role, tuple(shift.tolist()), off_m, error_px, photos)
-            )
-    found.sort(key=lambda each: each.role == "check")
-    for first, second, metres in bars:
-        one, two = seen[first], seen[second]
-        off_m = similarity.scale * float(np.linalg.norm(one.place - two.place)) - metres
-        error_px, photos = max(one.error_px, two.error_px), min(one.photos, two.photos)
-        name = f"{first} – {second}"
-        found.append(ControlResidual(name, "length", None, off_m, error_px, photos))
+    for name, (point, place, error_px) in seen.items():
+        if point.place is not None:
+            shift = similarity(place[None])[0] - point.place
+            role, off_m = "check" if point.check else "control", float(np.linalg.norm(shift))
+            marks = len(point.marks)
+            found.append(ControlResidual(name, role, off_m, error_px, marks, tuple(shift.tolist())))
+    return tuple(sorted(found, key=lambda each: each.role == "check"))
+
+
+def _of_bars(
+    bars: Sequence[Bar], seen: Mapping[str, _Seen], scale: float
+) -> tuple[ControlResidual, ...]:
+    """Found minus stated lengths."""
+    found = []
+    for a, b, metres in bars:
+        off_m = scale * float(np.linalg.norm(seen[a].place - seen[b].place)) - metres
+        error_px = max(seen[a].error_px, seen[b].error_px)
+        marks = min(len(seen[a].point.marks), len(seen[b].point.marks))
+        found.append(ControlResidual(f"{a} – {b}", "length", off_m, error_px, marks))
     return tuple(found)
+
+
+def _accuracy(residuals: Sequence[ControlResidual]) -> str:
+    roles = {"control": "control points", "check": "check points", "length": "stated lengths"}
+    off = {noun: rms_m(residuals, role) for role, noun in roles.items()}
+    return "".join(f" RMS of {noun}: {100 * m:.2g} cm." for noun, m in off.items() if m is not None)

@@ -36,7 +36,7 @@ class WorldFrame:
         residual_m: median distance of the cameras from their GPS positions, m; None without GPS.
         scale_error: standard uncertainty of its unit, as a share; None where that is not known.
         offset: of its origin in the local frame of a survey, m; None if they have one origin.
-        control_m: RMS error of check points, else of control points, m; None without these.
+        control_m: RMS residual of check points, else control points, else lengths, m; None without.
     """
 
     metric: bool = False

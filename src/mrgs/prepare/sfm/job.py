@@ -46,12 +46,10 @@ class JobFile(msgspec.Struct, frozen=True):
 
 
 class JobControl(msgspec.Struct, frozen=True):
-    """Content of ``CONTROL_FILE``: a similarity from the model's world to that of the points, and
-    for each point its place and rows of an image's file, x and y."""
+    """Content of ``CONTROL_FILE``: the similarity [3, 4] from the model's world to that of the
+    control points; the place of each, and the image's file, x and y of its marks."""
 
-    scale: float
-    rotation: list[list[float]]
-    translation: list[float]
+    similarity: list[list[float]]
     points: list[tuple[tuple[float, float, float], list[tuple[str, float, float]]]]
 
 

@@ -15,10 +15,13 @@ import numpy as np
 import pycolmap
 
 from mrgs.prepare.sfm.job import (
+    ADJUSTED_FOLDER,
+    CONTROL_FILE,
     MODEL_FOLDER,
     POINTS_FILE,
     REPORT_FILE,
     ImageReport,
+    JobControl,
     ModelReport,
     ReconstructionJob,
     Report,
@@ -32,6 +35,7 @@ from mrgs.prepare.sfm.pairs import (
     pairs_nearby,
     pairs_to_match,
 )
+from mrgs.system.disk import read_text
 from mrgs.system.threads import available_cores
 
 CAMERA = 1
@@ -194,18 +198,83 @@ def map_images(
     if (job.folder / MODEL_FOLDER).is_dir():
         return
     models, nearby = _models_by_position(job, report, solve)
-    fresh = job.folder / f"{MODEL_FOLDER}.new"
-    shutil.rmtree(fresh, ignore_errors=True)
-    fresh.mkdir()
     if models:
         least = MIN_TRACK if len(job.files) >= FEW_IMAGES else 2
         for number, point in list(models[0].points3D.items()):
             if point.track.length() < least or point.error > MAX_ERROR_PX:
                 models[0].delete_point3D(number)
-        models[0].write_binary(fresh)
-        save_points(models[0], job.files, fresh / POINTS_FILE)
-    (fresh / REPORT_FILE).write_bytes(msgspec.json.encode(_report(job, models, nearby)))
-    os.replace(fresh, job.folder / MODEL_FOLDER)
+    _write(job, MODEL_FOLDER, models[:1], _report(job, models, nearby))
+
+
+MARK_WEIGHT = 30
+"""A mark counts as so many features: what bends a model bends thousands of them alike."""
+
+
+def adjust(job: ReconstructionJob, report: Report) -> None:
+    """Adjust the model to the points of the control file, if there is one, which stay in place.
+    They determine what features leave open: principal point and tangential distortion are found
+    too."""
+    if not (job.folder / CONTROL_FILE).is_file():
+        return
+    report("adjusting", 0, 0)
+    control = msgspec.json.decode(read_text(job.folder / CONTROL_FILE), type=JobControl)
+    model = pycolmap.Reconstruction(job.folder / MODEL_FOLDER)
+    model.transform(pycolmap.Sim3d(np.array(control.similarity)))
+    focal, x, y, k1 = model.cameras[CAMERA].params
+    model.cameras[CAMERA].model = pycolmap.CameraModelId.OPENCV
+    model.cameras[CAMERA].params = [focal, focal, x, y, k1, 0, 0, 0]
+    config = pycolmap.BundleAdjustmentConfig()
+    for number in model.reg_image_ids():
+        config.add_image(number)
+    added = _add_control(model, control)
+    for number in added:
+        config.add_constant_point(number)
+    options = pycolmap.BundleAdjustmentOptions(refine_principal_point=True, print_summary=False)
+    options.refine_focal_length = job.focal_widths is None
+    options.ceres.solver_options.num_threads = 1  # threads add in any order
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    for number in added:
+        model.delete_point3D(number)
+    model.update_point_3d_errors()
+    before = (job.folder / MODEL_FOLDER / REPORT_FILE).read_bytes()
+    found = msgspec.json.decode(before, type=ModelReport)
+    error_px = model.compute_mean_reprojection_error()
+    after = msgspec.structs.replace(found, reprojection_px=error_px)
+    _write(job, ADJUSTED_FOLDER, [model], after)
+
+
+def _add_control(model: pycolmap.Reconstruction, control: JobControl) -> list[int]:
+    """Add each control point ``MARK_WEIGHT`` times, its marks in place of features that no point
+    uses, as an image's pixels can be moved but not added to; returns the points' numbers."""
+    images = {image.name: image for image in model.images.values()}
+    unused = {
+        name: iter([n for n, pixel in enumerate(image.points2D) if not pixel.has_point3D()])
+        for name, image in images.items()
+    }
+    added = []
+    for place, marks in control.points * MARK_WEIGHT:
+        track = pycolmap.Track()
+        for file, *pixel in marks:
+            if (number := next(unused[file], None)) is not None:
+                images[file].points2D[number].xy = np.array(pixel)
+                track.add_element(images[file].image_id, number)
+        added.append(model.add_point3D(np.array(place), track))
+    return added
+
+
+def _write(
+    job: ReconstructionJob, name: str, models: Sequence[pycolmap.Reconstruction], made: ModelReport
+) -> None:
+    """Write a report, and the model if there is one, into a folder of the job."""
+    fresh = job.folder / f"{name}.new"
+    for folder in (fresh, job.folder / name):
+        shutil.rmtree(folder, ignore_errors=True)
+    fresh.mkdir()
+    for model in models:
+        model.write_binary(fresh)
+        _save_points(model, job.files, fresh / POINTS_FILE)
+    (fresh / REPORT_FILE).write_bytes(msgspec.json.encode(made))
+    os.replace(fresh, job.folder / name)
 
 
 def _models_by_position(
@@ -288,7 +357,7 @@ def _models(
     return sorted(models.values(), key=lambda model: model.num_reg_images(), reverse=True)
 
 
-def save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Path) -> None:
+def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Path) -> None:
     """Positions, colours (0 to 255), and which image sees which point: rows of (place in ``files``,
     row of a point)."""
     places = {name: place for place, name in enumerate(files)}

@@ -25,7 +25,6 @@ from mrgs.data.kept import digest
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction, Skipped, TooFewPosesError
-from mrgs.prepare.control import ControlPoint
 from mrgs.prepare.sfm.job import (
     ADJUSTED_FOLDER,
     CONTROL_FILE,
@@ -45,7 +44,7 @@ from mrgs.prepare.sfm.job import (
 from mrgs.scene import THERMAL, Modality, PointCloud
 from mrgs.scene.camera import focal_length
 from mrgs.scene.similarity import Similarity
-from mrgs.system.atomic import remove, replacing, write_error
+from mrgs.system.atomic import remove, replacing, write_error, write_text
 from mrgs.system.child import OUT_OF_MEMORY, Child
 from mrgs.system.disk import read_text
 from mrgs.system.wording import listed
@@ -170,18 +169,15 @@ def adjusted(
     images: Modality,
     progress: Progress,
     similarity: Similarity,
-    points: Sequence[ControlPoint],
+    points: Sequence[tuple[tuple[float, float, float], Mapping[str, tuple[float, float]]]],
 ) -> Reconstruction:
-    """The model in a folder of ``reconstruct``, in the world of a similarity, adjusted to points in
-    it. SceneError and RunError as for ``run_colmap``."""
+    """The model of ``reconstruct`` in the world of a similarity, adjusted to places in it by
+    their marks. SceneError and RunError as for ``run_colmap``."""
     files = {image.name: image.file for image in read_job_file(folder).images}
-    rows = [
-        (point.place, [(files[view], *pixel) for view, pixel in point.marks.items()])
-        for point in points
-    ]
-    turn, shift = similarity.rotation.tolist(), similarity.translation.tolist()
-    with replacing(folder / CONTROL_FILE) as temporary:
-        temporary.write_bytes(msgspec.json.encode(JobControl(similarity.scale, turn, shift, rows)))
+    matrix = np.column_stack([similarity.scale * similarity.rotation, similarity.translation])
+    rows = [(at, [(files[view], *pixel) for view, pixel in marks.items()]) for at, marks in points]
+    content = msgspec.json.encode(JobControl(matrix.tolist(), rows)).decode()
+    write_text(folder / CONTROL_FILE, content)
     try:
         run_colmap(folder, progress)
     finally:
