@@ -198,9 +198,9 @@ def place_by_control(
         scale = float(np.dot([bar[2] for bar in bars], lengths) / np.dot(lengths, lengths))
         rest, residuals = (
             georeference(found, gps, scale, as_given=as_given),
-            _of_bars(bars, seen, scale),
+            _of_bars(bars if len(bars) > 1 else (), seen, scale),
         )
-        text = rest.text.replace(KNOWN, f"{counted(len(bars), 'stated length')} give the scale.")
+        text = rest.text.replace(KNOWN, f"The scale is that of {counted(len(bars), 'length')}.")
         text, warnings = f"{text}{_accuracy(residuals)}", (*warnings, *rest.warnings)
         return found, replace(rest, text=text, warnings=warnings, control=residuals)
     similarity = _fit(fitted, np.array([seen[name].place for name in fitted]), target, found)
