@@ -174,7 +174,8 @@ def measure(
                 _, placed = place_by_control(found, ControlPoints(points), {}, change)
                 errors = [rms_m(placed.control, role) for role in ("control", "check")]
                 results.setdefault(f"{choice}, {method}", []).append(errors)
-    return {name: np.sqrt(np.mean(np.square(np.array(errors, float)), axis=0)) for name, errors in results.items()}
+    squares = {name: np.array(errors, float) ** 2 for name, errors in results.items()}
+    return {name: np.sqrt(each.mean(axis=0)) for name, each in squares.items()}
 
 
 def main() -> None:

@@ -187,10 +187,12 @@ def test_marks_without_a_pose_are_left_out_and_named():
     control = surveyed()
     control.points["A"].marks["lost"] = (1.0, 1.0)
     control.points["D"].marks = {"v0": control.points["D"].marks["v0"]}
+    control.points["E"] = ControlPoint({}, (1.0, 2.0, 3.0))
     _, placed = place_by_control(displaced(wall()), control, {})
     assert placed.warnings == (
         "A is marked in lost, without a pose.",
         "D is not used: mark it in two photos, from different places.",
+        "E is not used: mark it in two photos, from different places.",
     )
     assert [each.name for each in placed.control] == ["A", "B", "C", "K"]
     assert placed.control[0].photos == 8
@@ -305,8 +307,8 @@ def test_a_gcp_list(tmp_path, separator):
         ("P,1,2,3,v0.jpg,1,1,maybe", "line 2: role is 'maybe'"),
         ("P,,,,,,,,,Q", "line 2: a scale bar needs name, to and length"),
         ("P,,,,,,,,,Q,0", "line 2: length is '0'"),
-        ("P,,,,v0.jpg,1,1\nP,,,,,,,,,Q,2", "Q needs pixels"),
-        ("P,,,,v0.jpg,1,1", "P needs pixels, and coordinates or a scale bar"),
+        ("P,,,,v0.jpg,1,1\nP,,,,,,,,,Q,2", "Q needs a line with pixels"),
+        ("P,,,,v0.jpg,1,1", "P needs coordinates or a scale bar"),
         ("P,1,2,3,v0.jpg,1,1,,A\nP,,,,v1.jpg,1,1,,B", "line 3: the CRS is B, and A above"),
         (
             "P,11.57501,48.13701,3,v0.jpg,1,1\nQ,11.57502,48.13702,3,v0.jpg,2,2",

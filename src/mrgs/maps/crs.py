@@ -97,7 +97,7 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
         if wanted is not None:
             raise ConfigError(
                 f"{scene.name} has no place on Earth, so {wanted} cannot be used: prepare it from "
-                f"photos with GPS, or leave the CRS out",
+                f"photos with GPS or control points that name their CRS, or leave the CRS out",
                 options=("crs",),
             )
         matrix = np.eye(4)
@@ -115,8 +115,8 @@ def require_metres(scene: Scene) -> None:
     """Check that a scene is in metres; ConfigError if that is not known."""
     if not scene.world.metric:
         raise ConfigError(
-            f"{scene.name} has no scale, so it has no coordinates in metres: prepare it with GPS "
-            f"or a known distance; if its poses are in metres, add "
+            f"{scene.name} has no scale, so it has no coordinates in metres: prepare it with GPS, "
+            f"control points or a known distance; if its poses are in metres, add "
             f'"georeference": {{"units": "metres"}} to its transforms.json',
             options=("known_distance",),
         )

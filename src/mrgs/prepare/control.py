@@ -37,8 +37,9 @@ FLAT = 0.03
 CONTRADICTION = 0.05
 """Points contradict each other if their RMS residual is a larger share of their spread."""
 
-LARGEST_ERROR_PX, LEAST_ANGLE_DEG = 10.0, 2.0
-"""Marks of one place meet better than that, and rays to it are farther apart."""
+LARGEST_ERROR, LEAST_ANGLE_DEG = 0.01, 2.0
+"""Marks of one place meet better, as a share of the image's width, and rays to it are farther
+apart."""
 
 OFFSET_FROM_M, OFFSET_STEP_M = 1000.0, 100.0
 """Local coordinates that are larger get an origin near the points, as float32 has seven digits."""
@@ -105,11 +106,10 @@ def read_control(file: Path, photos: Photos) -> ControlPoints:
                 raise scene_error(file, f"line {number}: {problem}") from None
     ends = {name for *both, _ in control.bars for name in both}
     for name in sorted(ends | control.points.keys()):
-        point = control.points.get(name, ControlPoint())
-        if not point.marks or (point.place is None and name not in ends):
-            raise scene_error(
-                file, f"{name} needs pixels, and coordinates or a scale bar; add them"
-            )
+        point = control.points.get(name)
+        if point is None or (point.place is None and name not in ends):
+            needs = "a line with pixels" if point is None else "coordinates or a scale bar"
+            raise scene_error(file, f"{name} needs {needs}; add it")
     plan = np.array([point.place[:2] for point in control.points.values() if point.place])
     if (
         len(plan) > 1
@@ -196,17 +196,14 @@ def place_by_control(
             raise _error(" ".join((f"{usable}, each in two photos.", *warnings)))
         lengths = [np.linalg.norm(seen[a].place - seen[b].place) for a, b, _ in bars]
         scale = float(np.dot([bar[2] for bar in bars], lengths) / np.dot(lengths, lengths))
-        rest, residuals = (
-            georeference(found, gps, scale, as_given=as_given),
-            _of_bars(bars if len(bars) > 1 else (), seen, scale),
-        )
+        rest = georeference(found, gps, scale, as_given=as_given)
+        residuals = _of_bars(bars if len(bars) > 1 else (), seen, scale)
         text = rest.text.replace(KNOWN, f"The scale is that of {counted(len(bars), 'length')}.")
         text, warnings = f"{text}{_accuracy(residuals)}", (*warnings, *rest.warnings)
         return found, replace(rest, text=text, warnings=warnings, control=residuals)
     similarity = _fit(fitted, np.array([seen[name].place for name in fitted]), target, found)
     if adjust is not None:
-        marked = [(points[name].place, seen[name].point.marks) for name in fitted]
-        found = adjust(similarity, marked)
+        found = adjust(similarity, [(points[n].place, seen[n].point.marks) for n in fitted])
         seen, similarity = _seen(points, found)[0], Similarity(1.0, np.eye(3), np.zeros(3))
     residuals = _of_points(seen, similarity) + _of_bars(bars, seen, similarity.scale)
     off, spread = rms_m(residuals, "control") or 0.0, np.linalg.norm(target - target.mean(axis=0))
@@ -267,11 +264,9 @@ def _seen(
         place, errors_px, angle_deg = _meeting(marks, found) if marks else (None, None, 0.0)
         if place is None or errors_px is None or angle_deg < LEAST_ANGLE_DEG:
             warnings.append(f"{name} is not used: mark it in two photos, from different places.")
-        elif (worst := float(errors_px.max())) > LARGEST_ERROR_PX:
-            view = [*marks][int(errors_px.argmax())]
-            raise _error(
-                f"the marks of {name} do not meet: that in {view} is {worst:.0f} px off; correct it"
-            )
+        elif errors_px.max() > LARGEST_ERROR * found.lenses[next(iter(marks))].width:
+            worst = f"that in {[*marks][int(errors_px.argmax())]} is {errors_px.max():.0f} px off"
+            raise _error(f"the marks of {name} do not meet: {worst}; correct it")
         else:
             rms_px = float(np.sqrt(np.mean(errors_px**2)))
             seen[name] = _Seen(replace(point, marks=marks), place, rms_px)
@@ -325,7 +320,8 @@ def _fit(names: Sequence[str], source: Points, target: Points, found: Reconstruc
         raise _error(f"the control points contradict each other: {worst}; {remedy}")
     similarity = fit_similarity(source, target)
     if similarity.rotation[2] @ up_of_cameras(found) < 0:
-        raise _error("the control points turn the scene upside down; swap east and north")
+        swap = "swap east and north, or count heights upwards"
+        raise _error(f"the control points turn the scene upside down; {swap}")
     return similarity
 
 
@@ -336,8 +332,8 @@ def _of_points(seen: Mapping[str, _Seen], similarity: Similarity) -> tuple[Contr
         if point.place is not None:
             shift = similarity(place[None])[0] - point.place
             role, off_m = "check" if point.check else "control", float(np.linalg.norm(shift))
-            marks = len(point.marks)
-            found.append(ControlResidual(name, role, off_m, error_px, marks, tuple(shift.tolist())))
+            known = error_px, len(point.marks), tuple(shift.tolist())
+            found.append(ControlResidual(name, role, off_m, *known))
     return tuple(sorted(found, key=lambda each: each.role == "check"))
 
 

@@ -321,7 +321,7 @@ def summarize_thermal_camera(
         lines.append("The target gives the scale: the scene is in metres.")
     elif by_target and abs(by_target - 1) > SCALE_TOLERANCE:
         warnings += (
-            f"The target's squares make the scene {by_target:.2f} times as large as GPS or the "
-            f"known distance: check the side of a square, and the distance.",
+            f"The target's squares make the scene {by_target:.2f} times as large as GPS, control "
+            f"points or the known distance: check the side of a square, and these.",
         )
     return StageSummary(tuple(lines), warnings)
