@@ -22,7 +22,6 @@ from mrgs.system.lazy import optional_package
 
 require_pyproj = partial(optional_package, "pyproj", "map coordinates", "export")
 
-WORLD = (-180, -90, 180, 90)
 BEYOND_AREA_DEG = 3.0
 """Surveys use a CRS this far outside of the area that it is made for."""
 
@@ -99,7 +98,8 @@ def on_earth(places: Float64[np.ndarray, "n 3"], crs: str) -> list[GpsPosition]:
     system = projected_crs(crs)
     to_degrees = require_pyproj().Transformer.from_crs(system, "EPSG:4326", always_xy=True)
     found = np.column_stack(to_degrees.transform(places[:, 0], places[:, 1]))
-    low, high = np.reshape(system.area_of_use.bounds if system.area_of_use else WORLD, (2, 2))
+    area = system.area_of_use
+    low, high = np.reshape(area.bounds if area else (-180, -90, 180, 90), (2, 2))
     if not (np.maximum(low - found, found - high) <= BEYOND_AREA_DEG).all():
         raise ConfigError(
             f"the coordinates are not where {system.name} is for; name their CRS, and swap east "

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mrgs.data.radiometric import ExifFacts, GpsPosition, PhotoFacts
 from mrgs.errors import SceneError
-from mrgs.scene import RGB, THERMAL, EarthPosition, Modality, PointCloud, WorldFrame
+from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
 
 Progress = Callable[[str, int, int], None]
@@ -116,11 +116,6 @@ class ConvertedPhotos:
     views: tuple[ConvertedView, ...]
     skipped: tuple[Skipped, ...]
     warnings: tuple[str, ...] = ()
-
-    @property
-    def posed(self) -> Modality:
-        """The modality of the images that get poses."""
-        return RGB if any(RGB in view.images for view in self.views) else THERMAL
 
 
 @dataclass(frozen=True, eq=False)

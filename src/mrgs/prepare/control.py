@@ -25,29 +25,24 @@ from mrgs.scene.similarity import Points, Similarity, fit_similarity
 from mrgs.system.wording import counted, shown
 
 Photos: TypeAlias = Mapping[str, tuple[str, tuple[int, int]]]
-"""View, and width and height in pixels, by the names of its photo in lower case."""
-
 Place: TypeAlias = tuple[float, float, float]
 Marks: TypeAlias = dict[str, tuple[float, float]]
-Bar: TypeAlias = tuple[str, str, float]
+Fixed: TypeAlias = Sequence[tuple[Place, Marks]]
+Adjust: TypeAlias = Callable[[Similarity, Fixed], Reconstruction]
 MIN_POINTS = 3
-FLAT = 0.03
-"""Points lie on a line if their spread across it is at most this share of that along it."""
-
-CONTRADICTION = 0.05
-"""Points contradict each other if their RMS residual is a larger share of their spread."""
+FLAT, CONTRADICTION = 0.03, 0.05
+"""Points lie on a line if their spread across it is at most this share of that along it, and
+contradict each other if their RMS residual is a larger share of their spread."""
 
 LARGEST_ERROR, LEAST_ANGLE_DEG = 0.01, 2.0
-"""Marks of one place meet better, as a share of the image's width, and rays to it are farther
-apart."""
+"""Marks of one place meet better, as a share of the image's width, and its rays differ by more."""
 
 OFFSET_FROM_M, OFFSET_STEP_M = 1000.0, 100.0
 """Local coordinates that are larger get an origin near the points, as float32 has seven digits."""
 
 _EXAMPLE = "write name,east,north,height,view,x,y into the first line, and metres and pixels below"
 _GCP_LIST = ("east", "north", "height", "x", "y", "view", "name")
-_DEGREES, _NARROWEST_M = [180.0, 90.0], 0.02
-_ITERATIONS = 5
+_NARROWEST_M, _ITERATIONS = 0.02, 5
 _Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e8, le=1e8)] | None
 
 
@@ -80,15 +75,16 @@ class ControlPoints:
     """Points by name; scale bars, two names and metres; and the CRS, empty for a local frame."""
 
     points: dict[str, ControlPoint] = field(default_factory=dict)
-    bars: list[Bar] = field(default_factory=list)
+    bars: list[tuple[str, str, float]] = field(default_factory=list)
     crs: str = ""
 
 
 def read_control(file: Path, photos: Photos) -> ControlPoints:
     """The points in a table, a line an observation (name, east, north, height, view, x, y; perhaps
     role and crs) or a scale bar (name, to, length); or in OpenDroneMap's ``gcp_list.txt``.
-    SceneError, with the line, if one cannot be read, contradicts another, or names no photo or a
-    pixel outside of it; if the coordinates are degrees, or a point has none of what it needs."""
+    ``photos`` are view, width and height by a photo's names in lower case. SceneError, with the
+    line, if one cannot be read or contradicts another, or names no photo or a pixel outside of it;
+    if coordinates are degrees, or a point lacks what it needs."""
     control, columns = ControlPoints(), tuple[str, ...]()
     for number, cells in table_rows(file, _EXAMPLE):
         if not columns and re.match(r"EPSG:|\+proj|WGS", cells[0], re.IGNORECASE):
@@ -106,16 +102,13 @@ def read_control(file: Path, photos: Photos) -> ControlPoints:
                 raise scene_error(file, f"line {number}: {problem}") from None
     ends = {name for *both, _ in control.bars for name in both}
     for name in sorted(ends | control.points.keys()):
-        point = control.points.get(name)
-        if point is None or (point.place is None and name not in ends):
-            needs = "a line with pixels" if point is None else "coordinates or a scale bar"
-            raise scene_error(file, f"{name} needs {needs}; add it")
+        if name not in control.points:
+            raise scene_error(file, f"{name} needs a line with pixels; add it")
+        if control.points[name].place is None and name not in ends:
+            raise scene_error(file, f"{name} needs coordinates or a scale bar; add them")
     plan = np.array([point.place[:2] for point in control.points.values() if point.place])
-    if (
-        len(plan) > 1
-        and (abs(plan) <= _DEGREES).all()
-        and np.ptp(plan, axis=0).max() < _NARROWEST_M
-    ):
+    narrow = len(plan) > 1 and np.ptp(plan, axis=0).max() < _NARROWEST_M
+    if narrow and (abs(plan) <= (180, 90)).all():
         raise scene_error(file, "the coordinates look like degrees; give metres, such as UTM")
     return control
 
@@ -146,20 +139,14 @@ def _add(cells: dict[str, str], control: ControlPoints, photos: Photos) -> None:
     if not row.view:
         return
     if (photo := photos.get(composed(row.view.replace("\\", "/")).lower())) is None:
-        raise ValueError(
-            f"no photo, or more than one, has the name {shown(row.view)}; correct it, or give its "
-            f"path"
-        )
+        problem = f"no photo, or more than one, has the name {shown(row.view)}"
+        raise ValueError(f"{problem}; correct it, or give its path")
     view, (width, height) = photo
     if row.x is None or row.y is None or not (0 <= row.x <= width and 0 <= row.y <= height):
         raise ValueError(f"the mark is not in {row.view}, {width}×{height} px; correct x and y")
     if view in point.marks:
         raise ValueError(f"{name} is marked in {row.view} twice; delete one of the lines")
     point.marks[view] = row.x, row.y
-
-
-Adjust: TypeAlias = Callable[[Similarity, Sequence[tuple[Place | None, Marks]]], Reconstruction]
-"""The reconstruction in the world of a similarity, adjusted to places in it."""
 
 
 class _Seen(NamedTuple):
@@ -175,21 +162,22 @@ def place_by_control(
     control: ControlPoints,
     gps: Mapping[str, GpsPosition],
     adjust: Adjust | None = None,
-    *,
     as_given: bool = False,
 ) -> tuple[Reconstruction, Georeference]:
-    """The reconstruction, which ``adjust`` may change, and the similarity to the control points'
-    frame. Two points, and scale bars without points, give the scale; GPS or the cameras then give
-    the axes. SceneError if there are fewer, they lie on a line or contradict each other, their
-    marks do not meet, or the scene would be upside down."""
-    points, offset, origin = _in_metres(control)
-    seen, warnings = _seen(points, found)
+    """The reconstruction, which ``adjust`` gives in the frame of the control points and adjusted to
+    them, and the similarity to that frame. Two points, and scale bars without points, give the
+    scale; GPS or the cameras then give the axes. SceneError if there are fewer, they lie on a line
+    or contradict each other, their marks do not meet, or the scene would be upside down."""
+    local, offset, origin = _in_metres(control)
+    seen, warnings = _seen(local, found)
     bars = [bar for bar in control.bars if {*bar[:2]} <= seen.keys()]
-    fitted = [name for name, each in seen.items() if each.point.place and not each.point.check]
-    target = np.array([points[name].place for name in fitted])
+    points = {name: each.point for name, each in seen.items()}
+    fitted = {n: (p.place, p.marks) for n, p in points.items() if p.place and not p.check}
+    target = np.array([place for place, _ in fitted.values()])
     if len(fitted) < MIN_POINTS:
         if len(fitted) == 2 and not bars:
-            bars = [(fitted[0], fitted[1], float(np.linalg.norm(target[1] - target[0])))]
+            first, second = fitted
+            bars = [(first, second, float(np.linalg.norm(target[1] - target[0])))]
             warnings += ("2 control points give no axes: mark a third, beside their line.",)
         if not bars:
             usable = f"{counted(len(fitted), 'control point')} can be used; mark {MIN_POINTS}"
@@ -197,16 +185,17 @@ def place_by_control(
         lengths = [np.linalg.norm(seen[a].place - seen[b].place) for a, b, _ in bars]
         scale = float(np.dot([bar[2] for bar in bars], lengths) / np.dot(lengths, lengths))
         rest = georeference(found, gps, scale, as_given=as_given)
-        residuals = _of_bars(bars if len(bars) > 1 else (), seen, scale)
+        off = _residuals(bars, seen, Similarity(scale, np.eye(3), np.zeros(3)))[-len(bars) :]
+        off = off if len(bars) > 1 else ()  # one length fits itself
         text = rest.text.replace(KNOWN, f"The scale is that of {counted(len(bars), 'length')}.")
-        text, warnings = f"{text}{_accuracy(residuals)}", (*warnings, *rest.warnings)
-        return found, replace(rest, text=text, warnings=warnings, control=residuals)
-    similarity = _fit(fitted, np.array([seen[name].place for name in fitted]), target, found)
+        warnings += rest.warnings
+        return found, replace(rest, text=f"{text}{_rms(off)}", warnings=warnings, control=off)
+    similarity = _fit([*fitted], np.array([seen[name].place for name in fitted]), target, found)
     if adjust is not None:
-        found = adjust(similarity, [(points[n].place, seen[n].point.marks) for n in fitted])
-        seen, similarity = _seen(points, found)[0], Similarity(1.0, np.eye(3), np.zeros(3))
-    residuals = _of_points(seen, similarity) + _of_bars(bars, seen, similarity.scale)
-    off, spread = rms_m(residuals, "control") or 0.0, np.linalg.norm(target - target.mean(axis=0))
+        found = adjust(similarity, [*fitted.values()])
+        seen, similarity = _seen(local, found)[0], Similarity(1.0, np.eye(3), np.zeros(3))
+    off = _residuals(bars, seen, similarity)
+    sigma_m = (rms_m(off, "control") or 0.0) / math.sqrt(3 - 7 / len(fitted))
     return found, Georeference(
         similarity.scale,
         torch.from_numpy(similarity.rotation),
@@ -216,11 +205,11 @@ def place_by_control(
         origin=origin,
         residual_m=None,
         text=f"{len(fitted)} control points give metres and the axes east, north, up; GPS and "
-        f"known distances are not used.{_accuracy(residuals)}",
+        f"known distances are not used.{_rms(off)}",
         warnings=warnings,
-        scale_error=off / math.sqrt(3 - 7 / len(fitted)) / float(spread),
+        scale_error=sigma_m / float(np.linalg.norm(target - target.mean(axis=0))),
         offset=offset,
-        control=residuals,
+        control=off,
     )
 
 
@@ -325,32 +314,27 @@ def _fit(names: Sequence[str], source: Points, target: Points, found: Reconstruc
     return similarity
 
 
-def _of_points(seen: Mapping[str, _Seen], similarity: Similarity) -> tuple[ControlResidual, ...]:
-    """Found minus stated: of control points, then of check points."""
+def _residuals(
+    bars: Sequence[tuple[str, str, float]], seen: Mapping[str, _Seen], similarity: Similarity
+) -> tuple[ControlResidual, ...]:
+    """Found minus stated: of control points, of check points, then of lengths."""
     found = []
     for name, (point, place, error_px) in seen.items():
-        if point.place is not None:
+        if point.place:
             shift = similarity(place[None])[0] - point.place
             role, off_m = "check" if point.check else "control", float(np.linalg.norm(shift))
             known = error_px, len(point.marks), tuple(shift.tolist())
             found.append(ControlResidual(name, role, off_m, *known))
-    return tuple(sorted(found, key=lambda each: each.role == "check"))
-
-
-def _of_bars(
-    bars: Sequence[Bar], seen: Mapping[str, _Seen], scale: float
-) -> tuple[ControlResidual, ...]:
-    """Found minus stated lengths."""
-    found = []
+    found.sort(key=lambda each: each.role == "check")
     for a, b, metres in bars:
-        off_m = scale * float(np.linalg.norm(seen[a].place - seen[b].place)) - metres
-        error_px = max(seen[a].error_px, seen[b].error_px)
-        marks = min(len(seen[a].point.marks), len(seen[b].point.marks))
-        found.append(ControlResidual(f"{a} – {b}", "length", off_m, error_px, marks))
+        ends = seen[a], seen[b]
+        off_m = similarity.scale * float(np.linalg.norm(ends[1].place - ends[0].place)) - metres
+        error_px, photos = max(each[2] for each in ends), min(len(each[0].marks) for each in ends)
+        found.append(ControlResidual(f"{a} – {b}", "length", off_m, error_px, photos))
     return tuple(found)
 
 
-def _accuracy(residuals: Sequence[ControlResidual]) -> str:
-    roles = {"control": "control points", "check": "check points", "length": "stated lengths"}
-    off = {noun: rms_m(residuals, role) for role, noun in roles.items()}
+def _rms(residuals: Sequence[ControlResidual]) -> str:
+    nouns = {"control": "control points", "check": "check points", "length": "stated lengths"}
+    off = {noun: rms_m(residuals, role) for role, noun in nouns.items()}
     return "".join(f" RMS of {noun}: {100 * m:.2g} cm." for noun, m in off.items() if m is not None)

@@ -4,7 +4,6 @@ something that it depends on has changed, and returns a summary."""
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -45,7 +44,7 @@ from mrgs.prepare.thermal_camera import (
     stated_field_of_view,
 )
 from mrgs.prepare.work import Work
-from mrgs.scene import THERMAL, Modality
+from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.scene.camera import field_of_view
 from mrgs.system.wording import counted
 
@@ -80,27 +79,24 @@ def images(work: Work) -> StageSummary:
 
 
 def _posed_photos(work: Work) -> dict[str, tuple[str, tuple[int, int]]]:
-    """View and size of the images with poses, by path, name and stem of the photo, and by the
-    view's name, as far as these are unique; all in lower case."""
-    found: dict[str, tuple[str, tuple[int, int]]] = {}
-    counts = Counter[str]()
+    """View and size of the images that get poses, by path, name and stem of the photo and by the
+    view's name, in lower case, as far as these are of one."""
+    found: dict[str, set[tuple[str, tuple[int, int]]]] = {}
     photos = {pair.name: pair.photos for pair in work.pairing.pairs}
     for view in work.images.views:
-        if work.images.posed not in view.images:
-            continue
-        file = photos[view.name].get(work.images.posed, photos[view.name][THERMAL])
+        modality, image = next(iter(view.images.items()))  # RGB, if there is any
+        file = photos[view.name].get(modality, photos[view.name][THERMAL])
         path = file.relative_to(work.photos).as_posix()
-        names = {composed(name).lower() for name in (path, file.name, file.stem, view.name)}
-        counts.update(names)
-        found |= dict.fromkeys(names, (view.name, view.images[work.images.posed].size))
-    return {name: found[name] for name in found if counts[name] == 1}
+        for name in (path, file.name, file.stem, view.name):
+            found.setdefault(composed(name).lower(), set()).add((view.name, image.size))
+    return {name: photo for name, (photo, *others) in found.items() if not others}
 
 
 def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummary:
     """Camera poses, given or by ``reconstruct``; they depend on the posed images and their GPS
     positions alone, so that other temperatures do not matter."""
     views = work.images.views
-    modality = work.images.posed
+    modality = RGB if any(RGB in view.images for view in views) else THERMAL
     posed = {view.name: view.images[modality] for view in views if modality in view.images}
     files = {name: work.scene / image.file for name, image in posed.items()}
     gps, view_deg, given = work.gps, None, None

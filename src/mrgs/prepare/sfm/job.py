@@ -22,6 +22,11 @@ MODEL_FOLDER = "model"
 POINTS_FILE = "points.npz"
 REPORT_FILE = "report.json"
 CONTROL_FILE, ADJUSTED_FOLDER = "control.json", "adjusted"
+JobControl = tuple[
+    list[list[float]], list[tuple[tuple[float, float, float], list[tuple[str, float, float]]]]
+]
+"""Content of ``CONTROL_FILE``: the similarity [3, 4] from the model's world to the control points';
+the place of each, and the image's file, x and y of its marks."""
 
 FORMAT = 5
 """Raise it when features or matches are found in another way: older ones are then discarded."""
@@ -43,14 +48,6 @@ class JobFile(msgspec.Struct, frozen=True):
     positions: tuple[tuple[float, float, float], ...] | None = None
     focal_widths: float | None = None
     format: int = FORMAT
-
-
-class JobControl(msgspec.Struct, frozen=True):
-    """Content of ``CONTROL_FILE``: the similarity [3, 4] from the model's world to that of the
-    control points; the place of each, and the image's file, x and y of its marks."""
-
-    similarity: list[list[float]]
-    points: list[tuple[tuple[float, float, float], list[tuple[str, float, float]]]]
 
 
 class ImageReport(msgspec.Struct, frozen=True):

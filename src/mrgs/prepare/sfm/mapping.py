@@ -212,23 +212,35 @@ MARK_WEIGHT = 30
 
 def adjust(job: ReconstructionJob, report: Report) -> None:
     """Adjust the model to the points of the control file, if there is one, which stay in place.
-    They determine what features leave open: principal point and tangential distortion are found
-    too."""
+    They determine what features leave open: the whole lens is refined."""
     if not (job.folder / CONTROL_FILE).is_file():
         return
     report("adjusting", 0, 0)
-    control = msgspec.json.decode(read_text(job.folder / CONTROL_FILE), type=JobControl)
+    content = read_text(job.folder / CONTROL_FILE)
+    similarity, points = msgspec.json.decode(content, type=JobControl)
     model = pycolmap.Reconstruction(job.folder / MODEL_FOLDER)
-    model.transform(pycolmap.Sim3d(np.array(control.similarity)))
+    model.transform(pycolmap.Sim3d(np.array(similarity)))
     focal, x, y, k1 = model.cameras[CAMERA].params
     model.cameras[CAMERA].model = pycolmap.CameraModelId.OPENCV
     model.cameras[CAMERA].params = [focal, focal, x, y, k1, 0, 0, 0]
     config = pycolmap.BundleAdjustmentConfig()
     for number in model.reg_image_ids():
         config.add_image(number)
-    added = _add_control(model, control)
-    for number in added:
-        config.add_constant_point(number)
+    # An image's pixels can be moved but not added to: marks take those of unused features.
+    images = {image.name: image for image in model.images.values()}
+    unused = {
+        name: iter([n for n, pixel in enumerate(image.points2D) if not pixel.has_point3D()])
+        for name, image in images.items()
+    }
+    added = []
+    for place, marks in points * MARK_WEIGHT:
+        track = pycolmap.Track()
+        for file, *pixel in marks:
+            if (number := next(unused[file], None)) is not None:
+                images[file].points2D[number].xy = np.array(pixel)
+                track.add_element(images[file].image_id, number)
+        added.append(model.add_point3D(np.array(place), track))
+        config.add_constant_point(added[-1])
     options = pycolmap.BundleAdjustmentOptions(refine_principal_point=True, print_summary=False)
     options.refine_focal_length = job.focal_widths is None
     options.ceres.solver_options.num_threads = 1  # threads add in any order
@@ -237,29 +249,9 @@ def adjust(job: ReconstructionJob, report: Report) -> None:
         model.delete_point3D(number)
     model.update_point_3d_errors()
     before = (job.folder / MODEL_FOLDER / REPORT_FILE).read_bytes()
-    found = msgspec.json.decode(before, type=ModelReport)
     error_px = model.compute_mean_reprojection_error()
-    after = msgspec.structs.replace(found, reprojection_px=error_px)
-    _write(job, ADJUSTED_FOLDER, [model], after)
-
-
-def _add_control(model: pycolmap.Reconstruction, control: JobControl) -> list[int]:
-    """Add each control point ``MARK_WEIGHT`` times, its marks in place of features that no point
-    uses, as an image's pixels can be moved but not added to; returns the points' numbers."""
-    images = {image.name: image for image in model.images.values()}
-    unused = {
-        name: iter([n for n, pixel in enumerate(image.points2D) if not pixel.has_point3D()])
-        for name, image in images.items()
-    }
-    added = []
-    for place, marks in control.points * MARK_WEIGHT:
-        track = pycolmap.Track()
-        for file, *pixel in marks:
-            if (number := next(unused[file], None)) is not None:
-                images[file].points2D[number].xy = np.array(pixel)
-                track.add_element(images[file].image_id, number)
-        added.append(model.add_point3D(np.array(place), track))
-    return added
+    made = msgspec.json.decode(before, type=ModelReport)
+    _write(job, ADJUSTED_FOLDER, [model], msgspec.structs.replace(made, reprojection_px=error_px))
 
 
 def _write(

@@ -25,6 +25,7 @@ from mrgs.data.kept import digest
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction, Skipped, TooFewPosesError
+from mrgs.prepare.control import Fixed
 from mrgs.prepare.sfm.job import (
     ADJUSTED_FOLDER,
     CONTROL_FILE,
@@ -35,7 +36,6 @@ from mrgs.prepare.sfm.job import (
     REPORT_FILE,
     SFM_FOLDER,
     ImageReport,
-    JobControl,
     JobFile,
     JobImage,
     ModelReport,
@@ -165,19 +165,14 @@ _NAMED = 6
 
 
 def adjusted(
-    folder: Path,
-    images: Modality,
-    progress: Progress,
-    similarity: Similarity,
-    points: Sequence[tuple[tuple[float, float, float], Mapping[str, tuple[float, float]]]],
+    folder: Path, images: Modality, progress: Progress, similarity: Similarity, points: Fixed
 ) -> Reconstruction:
     """The model of ``reconstruct`` in the world of a similarity, adjusted to places in it by
     their marks. SceneError and RunError as for ``run_colmap``."""
     files = {image.name: image.file for image in read_job_file(folder).images}
     matrix = np.column_stack([similarity.scale * similarity.rotation, similarity.translation])
     rows = [(at, [(files[view], *pixel) for view, pixel in marks.items()]) for at, marks in points]
-    content = msgspec.json.encode(JobControl(matrix.tolist(), rows)).decode()
-    write_text(folder / CONTROL_FILE, content)
+    write_text(folder / CONTROL_FILE, msgspec.json.encode((matrix.tolist(), rows)).decode())
     try:
         run_colmap(folder, progress)
     finally:
