@@ -140,6 +140,18 @@ def test_gps_is_overridden():
     assert placed.control[-1].off_m < 1e-6
 
 
+def test_a_control_point_that_is_off_by_more_than_the_others_is_named():
+    places = {**PLACES, "E": (0.0, 0.5, 4.0)}
+    points = {name: ControlPoint(marks(place, 0.3), place) for name, place in places.items()}
+    _, placed = place_by_control(displaced(wall()), ControlPoints(points), {})
+    assert placed.warnings == ()
+    points["C"].place = (2.62, 0.0, 3.5)
+    _, placed = place_by_control(displaced(wall()), ControlPoints(points), {})
+    (warning,) = placed.warnings
+    assert warning.startswith("C is ")
+    assert "check its coordinates and marks" in warning
+
+
 def test_scale_bars_give_the_scale_alone():
     length = float(np.linalg.norm(np.subtract(PLACES["A"], PLACES["B"])))
     points = {name: ControlPoint(marks(PLACES[name])) for name in "AB"}

@@ -34,6 +34,9 @@ FLAT, CONTRADICTION = 0.03, 0.05
 """Points lie on a line if their spread across it is at most this share of that along it, and
 contradict each other if their RMS residual is a larger share of their spread."""
 
+DOUBTFUL = 2.5
+"""A control point that is off by so many times the others' RMS is worth a warning."""
+
 LARGEST_ERROR, LEAST_ANGLE_DEG = 0.01, 2.0
 """Marks of one place meet better, as a share of the image's width, and its rays differ by more."""
 
@@ -184,17 +187,22 @@ def place_by_control(
             raise _error(" ".join((f"{usable}, each in two photos.", *warnings)))
         lengths = [np.linalg.norm(seen[a].place - seen[b].place) for a, b, _ in bars]
         scale = float(np.dot([bar[2] for bar in bars], lengths) / np.dot(lengths, lengths))
-        rest = georeference(found, gps, scale, as_given=as_given)
+        placed = georeference(found, gps, scale, as_given=as_given)
         off = _residuals(bars, seen, Similarity(scale, np.eye(3), np.zeros(3)))[-len(bars) :]
         off = off if len(bars) > 1 else ()  # one length fits itself
-        text = rest.text.replace(KNOWN, f"The scale is that of {counted(len(bars), 'length')}.")
-        warnings += rest.warnings
-        return found, replace(rest, text=f"{text}{_rms(off)}", warnings=warnings, control=off)
+        text = placed.text.replace(KNOWN, f"The scale is that of {counted(len(bars), 'length')}.")
+        warnings += placed.warnings
+        return found, replace(placed, text=f"{text}{_rms(off)}", warnings=warnings, control=off)
     similarity = _fit([*fitted], np.array([seen[name].place for name in fitted]), target, found)
     if adjust is not None:
         found = adjust(similarity, [*fitted.values()])
         seen, similarity = _seen(local, found)[0], Similarity(1.0, np.eye(3), np.zeros(3))
     off = _residuals(bars, seen, similarity)
+    *rest, worst = sorted(off, key=lambda each: (each.role == "control", each.off_m))
+    others_m = rms_m(rest, "control") or 0.0
+    if len(fitted) > MIN_POINTS + 1 and worst.off_m > DOUBTFUL * others_m:
+        far = f"{100 * worst.off_m:.2g} cm off, the other control points {100 * others_m:.2g} cm"
+        warnings += (f"{worst.name} is {far}: check its coordinates and marks.",)
     sigma_m = (rms_m(off, "control") or 0.0) / math.sqrt(3 - 7 / len(fitted))
     return found, Georeference(
         similarity.scale,
