@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -131,6 +132,18 @@ def test_coordinates_in_a_crs_place_the_scene_on_earth(make_scene):
     assert coordinate_system(scene, "EPSG:32632").apply(places) == pytest.approx(
         EYES + UTM, abs=0.005
     )
+
+
+def test_a_crs_that_gps_contradicts_is_told():
+    pytest.importorskip("pyproj")
+    moved = {name: tuple(UTM + place) for name, place in PLACES.items()}
+    control = replace(surveyed(**moved), crs="EPSG:32633")  # the next zone's
+    gps = {f"v{i}": GpsPosition(48.13, 11.57, 520.0) for i in range(8)}
+    _, placed = place_by_control(displaced(wall()), control, gps)
+    (warning,) = placed.warnings
+    assert re.search(r"GPS puts the photos 4\d\d km away: check the CRS", warning)
+    _, placed = place_by_control(displaced(wall()), replace(control, crs="EPSG:32632"), gps)
+    assert placed.warnings == ()
 
 
 def test_gps_is_overridden():

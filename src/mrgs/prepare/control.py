@@ -40,6 +40,7 @@ DOUBTFUL = 2.5
 LARGEST_ERROR, LEAST_ANGLE_DEG = 0.01, 2.0
 """Marks of one place meet better, as a share of the image's width, and its rays differ by more."""
 
+FARTHEST_GPS_M = 5000.0
 OFFSET_FROM_M, OFFSET_STEP_M = 1000.0, 100.0
 """Local coordinates that are larger get an origin near the points, as float32 has seven digits."""
 
@@ -203,6 +204,10 @@ def place_by_control(
     if len(fitted) > MIN_POINTS + 1 and worst.off_m > DOUBTFUL * others_m:
         far = f"{100 * worst.off_m:.2g} cm off, the other control points {100 * others_m:.2g} cm"
         warnings += (f"{worst.name} is {far}: check its coordinates and marks.",)
+    if origin is not None and gps:
+        apart_m = np.median(np.linalg.norm(enu([*gps.values()], origin), axis=1))
+        if apart_m > FARTHEST_GPS_M:
+            warnings += (f"GPS puts the photos {apart_m / 1000:.0f} km away: check the CRS.",)
     sigma_m = (rms_m(off, "control") or 0.0) / math.sqrt(3 - 7 / len(fitted))
     return found, Georeference(
         similarity.scale,
