@@ -133,13 +133,13 @@ def scale_and_north(work: Work) -> StageSummary:
             adjust = partial(adjusted, sfm, found.images, work.progress)
         return place_by_control(found, control, gps, adjust, as_given=as_given)
 
-    poses, work.georeference = work.cache.get(
+    moved, work.georeference = work.cache.get(
         "scale and north",
         tuple[Reconstruction | None, Georeference],
         (found, gps, distance, as_given, control),
         place,
     )
-    work.poses = poses or work.poses
+    work.poses = moved or work.poses
     return StageSummary((work.georeference.text,), work.georeference.warnings)
 
 

@@ -206,13 +206,13 @@ def map_images(
     _write(job, MODEL_FOLDER, models[:1], _report(job, models, nearby))
 
 
-MARK_WEIGHT = 30
-"""A mark counts as so many features: what bends a model bends thousands of them alike."""
+WHOLE_LENS = 0.97
+"""The whole lens is refined if features then fit better by that, else it explains their noise."""
 
 
 def adjust(job: ReconstructionJob, report: Report) -> None:
     """Adjust the model to the points of the control file, if there is one, which stay in place.
-    They determine what features leave open: the whole lens is refined."""
+    The whole lens is refined where the features call for it."""
     if not (job.folder / CONTROL_FILE).is_file():
         return
     report("adjusting", 0, 0)
@@ -220,9 +220,6 @@ def adjust(job: ReconstructionJob, report: Report) -> None:
     similarity, points = msgspec.json.decode(content, type=JobControl)
     model = pycolmap.Reconstruction(job.folder / MODEL_FOLDER)
     model.transform(pycolmap.Sim3d(np.array(similarity)))
-    focal, x, y, k1 = model.cameras[CAMERA].params
-    model.cameras[CAMERA].model = pycolmap.CameraModelId.OPENCV
-    model.cameras[CAMERA].params = [focal, focal, x, y, k1, 0, 0, 0]
     config = pycolmap.BundleAdjustmentConfig()
     for number in model.reg_image_ids():
         config.add_image(number)
@@ -233,7 +230,7 @@ def adjust(job: ReconstructionJob, report: Report) -> None:
         for name, image in images.items()
     }
     added = []
-    for place, marks in points * MARK_WEIGHT:
+    for place, marks in points:
         track = pycolmap.Track()
         for file, *pixel in marks:
             if (number := next(unused[file], None)) is not None:
@@ -241,13 +238,22 @@ def adjust(job: ReconstructionJob, report: Report) -> None:
                 track.add_element(images[file].image_id, number)
         added.append(model.add_point3D(np.array(place), track))
         config.add_constant_point(added[-1])
-    options = pycolmap.BundleAdjustmentOptions(refine_principal_point=True, print_summary=False)
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
     options.refine_focal_length = job.focal_widths is None
     options.ceres.solver_options.num_threads = 1  # threads add in any order
     pycolmap.create_default_bundle_adjuster(options, config, model).solve()
-    for number in added:
-        model.delete_point3D(number)
-    model.update_point_3d_errors()
+    whole = pycolmap.Reconstruction(model)
+    focal, x, y, k1 = model.cameras[CAMERA].params
+    whole.cameras[CAMERA].model = pycolmap.CameraModelId.OPENCV
+    whole.cameras[CAMERA].params = [focal, focal, x, y, k1, 0, 0, 0]
+    options.refine_principal_point = True
+    pycolmap.create_default_bundle_adjuster(options, config, whole).solve()
+    for each in (model, whole):
+        for number in added:
+            each.delete_point3D(number)
+        each.update_point_3d_errors()
+    limit_px = WHOLE_LENS * model.compute_mean_reprojection_error()
+    model = whole if whole.compute_mean_reprojection_error() < limit_px else model
     before = (job.folder / MODEL_FOLDER / REPORT_FILE).read_bytes()
     error_px = model.compute_mean_reprojection_error()
     made = msgspec.json.decode(before, type=ModelReport)
