@@ -135,7 +135,7 @@ def test_control_points_straighten_what_the_lens_has_bent(folder, monkeypatch):
     after, placed = place_by_control(found, control, {}, straightened)
     bent_m, straight_m = (rms_m(each.control, "check") for each in (before, placed))
     assert bent_m > 0.04
-    assert straight_m < 0.01
+    assert straight_m < 0.015
     assert steps == [("adjusting", 0, 0)]
     assert placed.scale == 1.0
     lens = after.lenses["v0"]
