@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 
 from mrgs.data import load_scene
+from mrgs.data.transforms import world_json
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.scene import (
     RGB,
@@ -61,6 +62,9 @@ def test_the_frame_of_the_world_is_known_where_prepare_has_found_it(writer):
     errors = {"residual_m": 0.8, "scale_error": 0.004}
     writer.transforms({**content, "georeference": {**facts, **errors}})
     assert load_scene(writer.root).world == replace(world, **errors)
+    survey = {"offset": (5000.0, 100.0, 0.0), "control_m": 0.012}
+    writer.transforms({**content, **world_json(WorldFrame(True, True, **survey))})
+    assert load_scene(writer.root).world == WorldFrame(True, True, **survey)
 
 
 def test_older_scenes_have_transforms_thermal_json(writer):

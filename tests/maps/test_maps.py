@@ -266,6 +266,20 @@ def test_a_wanted_crs_is_used(tmp_path, front, few_photos):
         assert file.crs.to_epsg() == 25832
 
 
+def test_maps_and_points_are_in_the_local_frame_of_a_survey(tmp_path, front, few_photos):
+    corners = []
+    for offset in (None, (5000.0, 300.0, 100.0)):
+        scene = replace(few_photos, world=WorldFrame(metric=True, north=True, offset=offset))
+        export(front, scene, ["las", "ortho"], tmp_path, maps=MapOptions(pixel_size_m=0.5))
+        with rasterio.open(tmp_path / "ortho.tif") as file:
+            bounds = file.bounds[:2]
+        las = laspy.read(tmp_path / "points.las")
+        corners.append([las.x.min(), las.y.min(), las.z.min(), *bounds])
+    moved = np.subtract(*corners[::-1])
+    assert moved[:3] == pytest.approx([5000, 300, 100], abs=1e-4)
+    assert moved[3:] == pytest.approx([5000, 300], abs=0.5)  # whole pixels
+
+
 @pytest.mark.parametrize(
     ("crs", "place", "north_deg"),
     [

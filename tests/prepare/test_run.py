@@ -142,6 +142,41 @@ def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
         )
 
 
+def test_control_points_place_the_scene(photos, posed, tmp_path):
+    """Places of the scene, twice as large and moved, are its control points; one is a check."""
+    truth = load_scene(posed)
+    positions = truth.points.positions.double()
+    rows = ["name,east,north,height,view,x,y,role"]
+    for index, place in enumerate(positions[:: len(positions) // 6][:6]):
+        east, north, height = (2 * place + torch.tensor([5000.0, 20.0, 7.0])).tolist()
+        role = "check" if index == 5 else "control"
+        for view in truth.views:
+            pixel, depth = view.camera.project(place[None])
+            if depth[0] > 0 and view.camera.contains(pixel)[0]:
+                x, y = pixel[0].tolist()
+                name = f"rgb/{view.name}.png" if index % 2 else view.name.upper()
+                rows.append(f"P{index},{east},{north},{height},{name},{x},{y},{role}")
+    table = tmp_path / "points.csv"
+    table.write_text("\n".join(rows))
+    options = PrepareOptions(overrides=BOUNDS, poses=posed, one_camera=True, control=table)
+    made = prepare(photos, tmp_path / "scene", options)
+    scene = load_scene(made.scene)
+    assert scene.world.offset == (5000.0, 0.0, 0.0)
+    assert scene.world.control_m < 1e-3
+    places = {view.name: view.camera.position for view in truth.views}
+    for view in scene.views:
+        moved = 2 * places[view.name] + torch.tensor([0.0, 20.0, 7.0])
+        assert torch.allclose(view.camera.position, moved, atol=1e-3)
+    page = made.page.read_text(encoding="utf-8")
+    assert "<h2>Control points</h2>" in page
+    assert "<td>P5</td><td>check</td>" in page
+    again = prepare(photos, tmp_path / "scene", options)
+    assert all(stage.reused for stage in again.stages)
+    table.write_text(f"{rows[0]}\nP,1,2,3,shot_99.png,1,1,\n")
+    with pytest.raises(SceneError, match=r"line 2: no photo.*'shot_99.png'"):
+        prepare(photos, tmp_path / "scene", options)
+
+
 def test_given_poses_without_points_do_for_thermal_photos_alone(photos, posed, tmp_path):
     (posed / "sparse_pc.ply").unlink()
     options = PrepareOptions(overrides=BOUNDS, poses=posed, pairs="thermal")

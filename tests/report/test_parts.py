@@ -38,11 +38,12 @@ def test_colours_span_what_lies_about_a_mark():
         (WorldFrame(metric=True), "in metres"),
         (WorldFrame(True, True, EarthPosition(48.0, 11.0, None), 0.64), "0,64 m neben"),
         (WorldFrame(True, True, EarthPosition(48.0, 11.0, None), 0.0031), "0,0031 m neben"),
+        (WorldFrame(True, True, control_m=0.0123), "Längen weichen um 0,012 m ab"),
     ],
 )
 def test_the_report_says_where_lengths_come_from(small_scene: Path, world: WorldFrame, text: str):
     scene = replace(load_scene(small_scene), world=world)
-    language = "de" if "neben" in text else "en"
+    language = "de" if "0," in text else "en"
     rows = dict(capture_rows(scene, Survey(), Texts(language)))
     assert text in rows[Texts(language)("Lengths")]
 

@@ -143,6 +143,8 @@ class PhotoOptions(PhotoSettings):
     """Chessboard that both cameras see: inner corners and square size in m, such as 7x6 0.05."""
     known_distance: Maybe[tuple[str, str, float]] = None
     """Two pixels of one view and the distance between their points: NAME:X,Y NAME:X,Y METRES."""
+    control: Maybe[Path] = None
+    """CSV file with control points, check points and scale bars in the photos (docs/prepare.md)."""
     eval_every: int = 8
     """Hold out every Nth view for evaluation; 0 holds out none."""
 
@@ -157,6 +159,7 @@ class PhotoOptions(PhotoSettings):
             tolerance_s=self.tolerance,
             camera=self.camera,
             thermal_fov_deg=self.thermal_fov,
+            control=self.control,
             target=None if target is None else parse_target(*target),
             known_distance=None if known is None else parse_known_distance(*known),
             **{name: getattr(self, name) for name in _OF_PREPARE},

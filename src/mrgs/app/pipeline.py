@@ -53,7 +53,7 @@ def follow_pipeline(
         )
     except SeveralCamerasError as error:
         facts_of_one: list[object] = [flat_field, options.thermal_fov_deg, options.thermal_camera]
-        facts_of_one += [options.poses, options.known_distance]
+        facts_of_one += [options.poses, options.known_distance, options.control]
         if not isinstance(command, RunAll) or any(each is not None for each in facts_of_one):
             raise
         terminal.pause()

@@ -9,12 +9,21 @@ the origin up and changes lengths by 2e-5.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from mrgs.data.radiometric import GpsPosition
+from mrgs.errors import ConfigError
 from mrgs.scene import EarthPosition
+from mrgs.system.lazy import optional_package
+
+require_pyproj = partial(optional_package, "pyproj", "map coordinates", "export")
+
+BEYOND_AREA_DEG = 3.0
+"""Surveys use a CRS this far outside of the area that it is made for."""
 
 SEMI_MAJOR_AXIS_M = 6378137.0
 FLATTENING = 1 / 298.257223563
@@ -63,3 +72,37 @@ def _axes(origin: GpsPosition | EarthPosition) -> Float64[np.ndarray, "3 3"]:
     across = np.cos(latitude)
     up = np.array([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)])
     return np.stack([east, np.cross(up, east), up])
+
+
+def projected_crs(name: str) -> Any:
+    """A coordinate reference system in metres, by a code such as ``EPSG:25832``. ConfigError if
+    there is none of this name, it is not projected, or pyproj is not installed."""
+    pyproj = require_pyproj()
+    try:
+        crs = pyproj.CRS.from_user_input(name)
+    except pyproj.exceptions.CRSError:
+        raise ConfigError(
+            f"unknown CRS {name!r}; give a code such as EPSG:25832", options=("crs",)
+        ) from None
+    if not crs.is_projected or {axis.unit_name for axis in crs.axis_info[:2]} != {"metre"}:
+        raise ConfigError(
+            f"{name} ({crs.name}) is not a projected CRS in metres; give one such as EPSG:25832",
+            options=("crs",),
+        )
+    return crs
+
+
+def on_earth(places: Float64[np.ndarray, "n 3"], crs: str) -> list[GpsPosition]:
+    """Positions of easting, northing and height [N, 3] in a CRS. ConfigError as for
+    ``projected_crs``, and if a place is far from where the CRS is for."""
+    system = projected_crs(crs)
+    to_degrees = require_pyproj().Transformer.from_crs(system, "EPSG:4326", always_xy=True)
+    found = np.column_stack(to_degrees.transform(places[:, 0], places[:, 1]))
+    area = system.area_of_use
+    low, high = np.reshape(area.bounds if area else (-180, -90, 180, 90), (2, 2))
+    if not (np.maximum(low - found, found - high) <= BEYOND_AREA_DEG).all():
+        raise ConfigError(
+            f"the coordinates are not where {system.name} is for; name their CRS, and swap east "
+            f"and north if these are swapped"
+        )
+    return [GpsPosition(y, x, z) for (x, y), z in zip(found.tolist(), places[:, 2], strict=True)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import json
 import os
@@ -20,6 +21,7 @@ from mrgs.system.wording import shown
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 MAX_FILE_BYTES = 4 * 2**30
 MAX_JSON_BYTES = 256 * 2**20
+MAX_TABLE_BYTES = 16 * 2**20
 MAX_MAGNITUDE = 1e7
 """Larger positions, pixel counts and focal lengths are damage: float32 has too few digits."""
 
@@ -87,6 +89,21 @@ def decoded_text(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("cp1252", errors="replace")
+
+
+def table_rows(table: Path, remedy: str) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of each line of a table that is not empty; columns are separated by
+    semicolons, tabs, commas or blanks. SceneError, with the remedy, if a line cannot be read."""
+    lines = decoded_text(read_bytes(table, MAX_TABLE_BYTES)).splitlines()
+    separator = next((sign for sign in ";\t," if any(sign in line for line in lines)), " ")
+    for number, line in enumerate(lines, 1):
+        reader = csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True)
+        try:
+            cells = [cell.strip() for cell in next(reader, [])]
+        except csv.Error as error:
+            raise scene_error(table, f"line {number} cannot be read ({error}); {remedy}") from None
+        if any(cells) and not cells[0].lower().startswith("sep="):  # by Excel
+            yield number, cells
 
 
 def read_json_object(path: Path) -> dict[str, Any]:

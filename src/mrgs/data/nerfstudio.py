@@ -50,6 +50,7 @@ from mrgs.system.typed_json import from_json, json_value
 from mrgs.system.wording import shown
 
 _NotNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=MAX_MAGNITUDE)]
+_Offset: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e8, le=1e8)]
 
 MOST_MODALITIES = 16
 IMAGE_CHANNELS = (1, 3)
@@ -110,6 +111,8 @@ class _Georeference:
     origin: _Origin | None = None
     residual_m: _NotNegative | None = None
     scale_error: _NotNegative | None = None
+    offset: tuple[_Offset, _Offset, _Offset] | None = None
+    control_m: _NotNegative | None = None
 
 
 def _of_lens(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -333,4 +336,6 @@ class _TransformsReader:
             None if facts.origin is None else EarthPosition(**vars(facts.origin)),
             facts.residual_m,
             facts.scale_error,
+            facts.offset,
+            facts.control_m,
         )

@@ -101,11 +101,9 @@ def world_json(world: WorldFrame) -> dict[str, Any]:
     }
     if world.origin is not None:
         facts["origin"] = world.origin._asdict()
-    if world.residual_m is not None:
-        facts["residual_m"] = world.residual_m
-    if world.scale_error is not None:
-        facts["scale_error"] = world.scale_error
-    return {"georeference": facts}
+    names = ("residual_m", "scale_error", "offset", "control_m")
+    known = {name: value for name in names if (value := getattr(world, name)) is not None}
+    return {"georeference": facts | known}
 
 
 def write_bounds(path: Path, min_c: float, max_c: float) -> Path:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from types import ModuleType
 from typing import Any
 from unicodedata import normalize
@@ -18,9 +17,9 @@ from unicodedata import normalize
 import numpy as np
 from jaxtyping import Float64
 
+from mrgs.data.earth import projected_crs, require_pyproj
 from mrgs.errors import ConfigError
 from mrgs.scene import EarthPosition, Scene
-from mrgs.system.lazy import optional_package
 
 UTM_LATITUDES_DEG = (-80.0, 84.0)
 """UTM is defined between these."""
@@ -29,8 +28,6 @@ UTM_NORTH, UTM_SOUTH = 32600, 32700
 """EPSG codes of UTM on WGS 84, to which the number of the zone is added."""
 
 LOCAL_NAME = "the scene's own frame, metres"
-
-require_pyproj = partial(optional_package, "pyproj", "map coordinates", "export")
 
 NORTH_IS_UP_DEG = 5.0
 """North may be turned this far from up on a map that has it up: UTM's is, by up to 3°."""
@@ -50,7 +47,7 @@ class CoordinateSystem:
         name: for people, such as ``EPSG:32632, WGS 84 / UTM zone 32N``.
         wkt: as well-known text of 2001 (WKT 1), which GIS and LAS readers know best.
         matrix: from the scene's coordinates (x, y, z, 1) to easting, northing and height above sea
-            level in metres, [4, 4]; the identity in a scene without a place on Earth.
+            level in metres, [4, 4]; or to those of a local frame.
         on_earth: whether it is a CRS on Earth; else the scene's own frame.
         residual_m: largest distance, over the scene, between ``matrix`` and the exact projection.
     """
@@ -100,12 +97,14 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
         if wanted is not None:
             raise ConfigError(
                 f"{scene.name} is not georeferenced, so {wanted} cannot be used: prepare it from "
-                f"photos with GPS, or leave the CRS out",
+                f"photos with GPS or control points that name their CRS, or leave the CRS out",
                 options=("crs",),
             )
-        return replace(LOCAL, wkt=local_wkt(scene.name))
+        matrix = np.eye(4)
+        matrix[:3, 3] = world.offset or 0.0
+        return replace(LOCAL, wkt=local_wkt(scene.name), matrix=matrix)
     pyproj = require_pyproj()
-    crs = _utm(pyproj, world.origin) if wanted is None else _wanted(pyproj, wanted, world.origin)
+    crs = _utm(pyproj, world.origin) if wanted is None else _wanted(wanted, world.origin)
     code = crs.to_authority()
     name = crs.name if code is None else f"{':'.join(code)}, {crs.name}"
     matrix, residual_m = _from_scene(pyproj, crs, world.origin, scene.reach.radius)
@@ -116,8 +115,8 @@ def require_metres(scene: Scene) -> None:
     """Check that a scene is in metres; ConfigError if that is not known."""
     if not scene.world.metric:
         raise ConfigError(
-            f"{scene.name} has no scale, so it has no coordinates in metres: prepare it with GPS "
-            f"or a known distance; if its poses are in metres, add "
+            f"{scene.name} has no scale, so it has no coordinates in metres: prepare it with GPS, "
+            f"control points or a known distance; if its poses are in metres, add "
             f'"georeference": {{"units": "metres"}} to its transforms.json',
             options=("known_distance",),
         )
@@ -131,6 +130,8 @@ def place_facts(scene: Scene, wanted: str | None = None) -> Mapping[str, Any]:
     facts: dict[str, Any] = {"axes": "east, north, up" if world.north else "not known"}
     if world.origin is not None:
         facts["origin"] = world.origin._asdict()
+    if world.offset is not None:
+        facts["offset"] = world.offset
     if world.residual_m is not None:
         facts["gps_residual_m"] = round(world.residual_m, 3)
     with suppress(ConfigError):  # beyond UTM, or pyproj is not installed
@@ -163,18 +164,8 @@ def _utm(pyproj: ModuleType, origin: EarthPosition) -> Any:
     return pyproj.CRS.from_epsg((UTM_NORTH if origin.latitude_deg >= 0 else UTM_SOUTH) + zone)
 
 
-def _wanted(pyproj: ModuleType, wanted: str, origin: EarthPosition) -> Any:
-    try:
-        crs = pyproj.CRS.from_user_input(wanted)
-    except pyproj.exceptions.CRSError:
-        raise ConfigError(
-            f"unknown CRS {wanted!r}; give a code such as EPSG:25832", options=("crs",)
-        ) from None
-    if not crs.is_projected or {axis.unit_name for axis in crs.axis_info[:2]} != {"metre"}:
-        raise ConfigError(
-            f"{wanted} ({crs.name}) is not a projected CRS in metres; give one such as EPSG:25832",
-            options=("crs",),
-        )
+def _wanted(wanted: str, origin: EarthPosition) -> Any:
+    crs = projected_crs(wanted)
     area, longitude = crs.area_of_use, origin.longitude_deg
     if area is None:
         return crs

@@ -384,7 +384,8 @@ def _plan_view(
     x = np.eye(3)[0] if abs(up[0]) < 0.9 else np.eye(3)[1]
     right = x - up * (up @ x)
     right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(up, right), up]), 1.0, np.zeros(2)
+    axes = np.stack([right, np.cross(up, right), up])
+    return axes, 1.0, np.einsum("ij,j->i", axes[:2], system.matrix[:3, 3])
 
 
 CELL = 1.5

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -147,6 +148,25 @@ class Reconstruction:
     world: WorldFrame = field(default=WorldFrame())
 
 
+@dataclass(frozen=True)
+class ControlResidual:
+    """Found minus stated, metres, of a ``control`` or ``check`` point or of a ``length``; distance
+    of its marks, px (RMS); in how many photos these are; and what a point is off along the axes."""
+
+    name: str
+    role: str
+    off_m: float
+    error_px: float
+    photos: int
+    shift_m: tuple[float, float, float] | None = None
+
+
+def rms_m(residuals: Sequence[ControlResidual], role: str) -> float | None:
+    """Root mean square of those with a role, metres; None if there are none."""
+    squares = [each.off_m**2 for each in residuals if each.role == role]
+    return math.sqrt(sum(squares) / len(squares)) if squares else None
+
+
 @dataclass(frozen=True, eq=False)
 class Georeference:
     """A similarity from the world of the poses to the scene's world: x' = scale · rotation x +
@@ -160,6 +180,8 @@ class Georeference:
         residual_m: median distance of the cameras from their GPS positions; None without GPS.
         scale_error: standard uncertainty of the scale, as a share; None where it is not from GPS.
         text: one or two sentences for the user.
+        offset: of the new origin in the control points' local frame, metres; None if they agree.
+        control: what control points, check points and stated lengths are off.
     """
 
     scale: float
@@ -172,6 +194,8 @@ class Georeference:
     text: str
     warnings: tuple[str, ...] = ()
     scale_error: float | None = None
+    offset: tuple[float, float, float] | None = None
+    control: tuple[ControlResidual, ...] = ()
 
     @property
     def world(self) -> WorldFrame:
@@ -179,7 +203,10 @@ class Georeference:
         place, origin = self.origin, None
         if place is not None:
             origin = EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
-        return WorldFrame(self.metric, self.north, origin, self.residual_m, self.scale_error)
+        roles = ("check", "control", "length")
+        off_m = next(filter(None, (rms_m(self.control, role) for role in roles)), None)
+        known = self.residual_m, self.scale_error, self.offset, off_m
+        return WorldFrame(self.metric, self.north, origin, *known)
 
 
 @dataclass(frozen=True)

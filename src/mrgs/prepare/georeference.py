@@ -62,7 +62,7 @@ class UnusableGpsError(Exception):
 def georeference(
     reconstruction: Reconstruction,
     gps: Mapping[str, GpsPosition],
-    known: KnownDistance | None = None,
+    known: KnownDistance | float | None = None,
     *,
     as_given: bool = False,
 ) -> Georeference:
@@ -72,11 +72,13 @@ def georeference(
     Args:
         reconstruction: poses in any world.
         gps: positions of photos by view; those of views without a pose are ignored.
-        known: a length in a photo; it overrides the scale from GPS.
+        known: a length in a photo, or metres per unit; it overrides the scale from GPS.
         as_given: the poses come from the user. Their axes stay where their file says where on Earth
             they lie, where GPS agrees with them, and where there is no usable GPS.
     """
-    scale = None if known is None else known.metres / length_of(known, reconstruction)
+    scale = known if not isinstance(known, KnownDistance) else None
+    if isinstance(known, KnownDistance):
+        scale = known.metres / length_of(known, reconstruction)
     level = levelled(reconstruction)
     if as_given and level.rotation[2, 2] > _UPRIGHT:
         level = Similarity(1.0, np.eye(3), np.zeros(3))
@@ -435,10 +437,7 @@ def _place(
             f"{where} lies where near and far surfaces meet; choose one that is well inside a "
             f"surface"
         )
-    x, y = lens.undistort(
-        np.array([(pixel[0] - lens.cx) / lens.fx]), np.array([(pixel[1] - lens.cy) / lens.fy])
-    )
-    return np.array([x[0], y[0], 1.0]) / inverse_depth
+    return np.array([*lens.rays(*pixel), 1.0]) / inverse_depth
 
 
 def _surface(

@@ -34,6 +34,7 @@ class PrepareOptions:
         thermal_camera: a file with its lens, its offset, or both (``read_thermal_camera``).
         target: a chessboard that both cameras see.
         known_distance: between two points in a photo.
+        control: a table of control points, check points and scale bars (``read_control``).
         eval_every: hold out every Nth view for evaluation; 0 holds out none.
     """
 
@@ -48,6 +49,7 @@ class PrepareOptions:
     thermal_camera: Path | None = None
     target: ChessboardTarget | None = None
     known_distance: KnownDistance | None = None
+    control: Path | None = None
     eval_every: int = 8
 
     def name_of(self, photos: Path) -> str:

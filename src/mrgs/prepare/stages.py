@@ -7,10 +7,12 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from mrgs.check import fast_problems
 from mrgs.data import load_scene
+from mrgs.data.files import composed
 from mrgs.data.kept import digest, stamps
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError
@@ -26,11 +28,14 @@ from mrgs.prepare.contract import (
     StageSummary,
     TooFewPosesError,
 )
+from mrgs.prepare.control import place_by_control, read_control
 from mrgs.prepare.convert import convert_photos
 from mrgs.prepare.existing import existing_poses
 from mrgs.prepare.georeference import georeference
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.rig.contract import FEWEST_MATCHES, RigCalibration
+from mrgs.prepare.sfm.job import MODEL_FOLDER, SFM_FOLDER
+from mrgs.prepare.sfm.reconstruct import adjusted
 from mrgs.prepare.thermal_camera import (
     Calibrate,
     calibrate_thermal_camera,
@@ -68,7 +73,23 @@ def images(work: Work) -> StageSummary:
         work.progress,
         turn=work.options.poses is None,  # given poses are those of the images as stored
     )
+    if (control := work.options.control) is not None:
+        work.control = read_control(control, _posed_photos(work))
     return summarize_photos(work.images)
+
+
+def _posed_photos(work: Work) -> dict[str, tuple[str, tuple[int, int]]]:
+    """View and size of the images that get poses, by path, name and stem of the photo and by the
+    view's name, in lower case, as far as these are of one."""
+    found: dict[str, set[tuple[str, tuple[int, int]]]] = {}
+    photos = {pair.name: pair.photos for pair in work.pairing.pairs}
+    for view in work.images.views:
+        modality, image = next(iter(view.images.items()))  # RGB, if there is any
+        file = photos[view.name].get(modality, photos[view.name][THERMAL])
+        path = file.relative_to(work.photos).as_posix()
+        for name in (path, file.name, file.stem, view.name):
+            found.setdefault(composed(name).lower(), set()).add((view.name, image.size))
+    return {name: photo for name, (photo, *others) in found.items() if not others}
 
 
 def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummary:
@@ -101,13 +122,24 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
 def scale_and_north(work: Work) -> StageSummary:
     """From the world of the poses to the scene's world: metres, and axes east, north, up."""
     found, gps, distance = work.posed, work.gps, work.options.known_distance
-    as_given = work.options.poses is not None
-    work.georeference = work.cache.get(
+    as_given, control = work.options.poses is not None, work.control
+    sfm = work.scene / CACHE_FOLDER / SFM_FOLDER
+
+    def place() -> tuple[Reconstruction | None, Georeference]:
+        if control is None:
+            return None, georeference(found, gps, distance, as_given=as_given)
+        adjust = None
+        if not as_given and (sfm / MODEL_FOLDER).is_dir():
+            adjust = partial(adjusted, sfm, found.images, work.progress)
+        return place_by_control(found, control, gps, adjust, as_given=as_given)
+
+    moved, work.georeference = work.cache.get(
         "scale and north",
-        Georeference,
-        (found, gps, distance, as_given),
-        lambda: georeference(found, gps, distance, as_given=as_given),
+        tuple[Reconstruction | None, Georeference],
+        (found, gps, distance, as_given, control),
+        place,
     )
+    work.poses = moved or work.poses
     return StageSummary((work.georeference.text,), work.georeference.warnings)
 
 
@@ -285,7 +317,7 @@ def summarize_thermal_camera(
         lines.append("The target gives the scale: the scene is in metres.")
     elif by_target and abs(by_target - 1) > SCALE_TOLERANCE:
         warnings += (
-            f"The target's squares make the scene {by_target:.2f} times as large as GPS or the "
-            f"known distance: check the side of a square, and the distance.",
+            f"The target's squares make the scene {by_target:.2f} times as large as GPS, control "
+            f"points or the known distance: check the side of a square, and these.",
         )
     return StageSummary(tuple(lines), warnings)

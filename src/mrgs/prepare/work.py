@@ -21,6 +21,7 @@ from mrgs.prepare.contract import (
     StageReport,
     StageSummary,
 )
+from mrgs.prepare.control import ControlPoints
 from mrgs.prepare.georeference import apply
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.rig.contract import RigCalibration
@@ -34,6 +35,7 @@ class Work:
         trains: whether the caller goes on to train by itself, so that the page names no command.
         on_progress: called with "stage: step", and how many of the step's parts are done and there
             are (0 of 0 if not known).
+        control: points that are marked in the photos; None without.
         poses: of the images, in the world of the reconstruction; None until found.
         georeference: from that world to the scene's; None until found.
         rig: the thermal camera, calibrated in the scene's world; None until found, and where one
@@ -50,6 +52,7 @@ class Work:
     reports: list[StageReport] = field(default_factory=list)
     pairing: Pairing = field(default_factory=lambda: Pairing((), (), ""))
     images: ConvertedPhotos = field(default_factory=lambda: ConvertedPhotos((), ()))
+    control: ControlPoints | None = None
     poses: Reconstruction | None = None
     georeference: Georeference | None = None
     rig: RigCalibration | None = None

@@ -265,9 +265,12 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
 
 
 def _lengths(world: WorldFrame, t: Texts) -> str:
-    """The unit of lengths, and how well GPS fits, which may have given it."""
+    """The unit of lengths, and how well what may have given it fits: a survey, or GPS."""
     if not world.metric:
         return t("without a scale, in scene units")
+    if world.control_m is not None:
+        off = t.number(digits(world.control_m, 2))
+        return t("in metres; surveyed points and lengths are {residual} m off (RMS)", residual=off)
     if world.residual_m is None:
         return t("in metres")
     return t(

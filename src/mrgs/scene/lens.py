@@ -116,6 +116,10 @@ class Lens:
                     break
         return u, v
 
+    def rays(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Normalised coordinates of the rays that reach the pixel positions (u, v)."""
+        return self.undistort((u - self.cx) / self.fx, (v - self.cy) / self.fy)
+
     def before_fold(self, x: Array, y: Array) -> NDArray[np.bool_]:
         """Whether the distortion is one-to-one from the optical axis out to the ray (x, y, 1)."""
         return np.hypot(x, y) <= self._fold_radius(x, y)
@@ -189,10 +193,10 @@ def pinhole_of(lens: Lens) -> Lens:
         return lens
     along_x = np.linspace(0.5, lens.width - 0.5, _EDGE_SAMPLES)
     along_y = np.linspace(0.5, lens.height - 0.5, _EDGE_SAMPLES)
-    left, _ = _rays(lens, np.full_like(along_y, 0.5), along_y)
-    right, _ = _rays(lens, np.full_like(along_y, lens.width - 0.5), along_y)
-    _, top = _rays(lens, along_x, np.full_like(along_x, 0.5))
-    _, bottom = _rays(lens, along_x, np.full_like(along_x, lens.height - 0.5))
+    left, _ = lens.rays(np.full_like(along_y, 0.5), along_y)
+    right, _ = lens.rays(np.full_like(along_y, lens.width - 0.5), along_y)
+    _, top = lens.rays(along_x, np.full_like(along_x, 0.5))
+    _, bottom = lens.rays(along_x, np.full_like(along_x, lens.height - 0.5))
     fx, cx = _spread(left.max(), right.min(), lens.width, lens.fx)
     fy, cy = _spread(top.max(), bottom.min(), lens.height, lens.fy)
     return Lens(lens.width, lens.height, fx, fy, cx, cy)
@@ -219,13 +223,6 @@ def undistort(
     if valid is not None:
         seen = seen & (_sample(valid[None].float(), grid)[0] > 0.999)
     return warped.contiguous(), None if seen.all() else seen
-
-
-def _rays(
-    lens: Lens, u: NDArray[np.float64], v: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], ...]:
-    """Normalised coordinates of the rays that reach the pixel positions (u, v)."""
-    return lens.undistort((u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy)
 
 
 def _spread(low: float, high: float, pixels: int, focal_px: float) -> tuple[float, float]:

@@ -34,6 +34,8 @@ class WorldFrame:
         origin: of its coordinates on Earth; None if not known.
         residual_m: median distance of the cameras from their GPS positions, m; None without GPS.
         scale_error: standard uncertainty of its unit, as a share; None where that is not known.
+        offset: of its origin in the local frame of a survey, m; None if they have one origin.
+        control_m: RMS residual of check points, else control points, else lengths, m; None without.
     """
 
     metric: bool = False
@@ -41,6 +43,8 @@ class WorldFrame:
     origin: EarthPosition | None = None
     residual_m: float | None = None
     scale_error: float | None = None
+    offset: tuple[float, float, float] | None = None
+    control_m: float | None = None
 
     @property
     def is_georeferenced(self) -> bool:

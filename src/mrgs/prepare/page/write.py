@@ -111,6 +111,7 @@ def write_page(
         stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in work.reports],
         pairs=pairs(previews, overlays, unit, len(work.images.views)),
         temperatures=_temperatures(work, previews, scene, unit),
+        control=() if work.georeference is None else work.georeference.control,
         lenses=[] if posed is None else _pose_rows(posed, work.georeference),
         rig=None if work.rig is None else _rig_facts(work.rig, work.metric),
         one_camera=scene is not None and posed is not None and posed.images != THERMAL,

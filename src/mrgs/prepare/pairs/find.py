@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes
+from mrgs.data.files import contained, is_file, on_disk, table_rows
 from mrgs.errors import ConfigError, SceneError, printable, scene_error
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
 from mrgs.prepare.options import PairRule, PrepareOptions
@@ -213,7 +212,6 @@ def _unused(inventory: Inventory, match: Match, pairs: list[Pair]) -> list[Skipp
     return [Skipped(photo.name, reasons[photo]) for photo in inventory.photos if photo not in used]
 
 
-_MAX_BYTES = 16 * 2**20
 _COLUMNS = (PARTNER, REFERENCE)
 _EXAMPLE = "write lines such as " + ",".join(f"{modality}/a.jpg" for modality in _COLUMNS)
 
@@ -259,24 +257,11 @@ def by_table(table: Path, inventory: Inventory) -> Match:
 
 def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str], bool]]:
     """Number of the line, the names of its photos by modality, and whether headings say so."""
-    lines = decoded_text(read_bytes(table, _MAX_BYTES)).splitlines()
-    separator = next((sign for sign in ";\t," if any(sign in line for line in lines)), " ")
     columns = {modality: index for index, modality in enumerate(_COLUMNS)}
     has_headings = has_pairs = False
-    for number, line in enumerate(lines, 1):
-        try:
-            row = next(
-                csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True), []
-            )
-        except csv.Error as error:
-            raise scene_error(
-                table, f"line {number} cannot be read ({error}); {_EXAMPLE}"
-            ) from None
-        cells = [cell.strip() for cell in row]
+    for number, cells in table_rows(table, _EXAMPLE):
         while len(cells) > 2 and not cells[-1]:
             cells.pop()
-        if not any(cells) or cells[0].lower().startswith("sep="):  # by Excel
-            continue
         headings = {
             each: index for index, cell in reversed([*enumerate(cells)]) if (each := _heading(cell))
         }
@@ -284,7 +269,7 @@ def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str], bool]]:
         cells += [""] * (max(columns.values()) + 1 - len(cells))
         if is_heading:
             columns, has_headings = headings, True
-        elif line.lstrip().startswith("# "):
+        elif cells[0].startswith("# "):
             continue
         elif cells[columns[REFERENCE]] and (has_headings or len(cells) == 2):
             has_pairs = True

@@ -23,12 +23,13 @@ def main(folder: Path) -> int:
     # Nothing is lost: the database has transactions, and the model is moved when it is complete.
     when_asked_to_stop(lambda: os._exit(1))
     try:
-        from mrgs.prepare.sfm.mapping import find_features, map_images, match
+        from mrgs.prepare.sfm.mapping import adjust, find_features, map_images, match
 
         job = read_job(folder)
         find_features(job, report)
         match(job, report)
         map_images(job, report)
+        adjust(job, report)
     except Exception as error:  # pycolmap's are of many types, and the parent has only these lines
         full = shutil.disk_usage(folder).free < LEAST_FREE_BYTES
         send(

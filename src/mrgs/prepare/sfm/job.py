@@ -16,10 +16,17 @@ Report = Callable[[str, int, int], None]
 """Called with a step's name, and how many of its parts are done and there are."""
 
 JOB_FILE = "job.json"
+SFM_FOLDER = "sfm"
 IMAGE_FOLDER = "images"
 MODEL_FOLDER = "model"
 POINTS_FILE = "points.npz"
 REPORT_FILE = "report.json"
+CONTROL_FILE, ADJUSTED_FOLDER = "control.json", "adjusted"
+JobControl = tuple[
+    list[list[float]], list[tuple[tuple[float, float, float], list[tuple[str, float, float]]]]
+]
+"""Content of ``CONTROL_FILE``: the similarity [3, 4] from the model's world to the control points';
+the place of each, and the image's file, x and y of its marks."""
 
 FORMAT = 5
 """Raise it when features or matches are found in another way: older ones are then discarded."""

@@ -15,10 +15,13 @@ import numpy as np
 import pycolmap
 
 from mrgs.prepare.sfm.job import (
+    ADJUSTED_FOLDER,
+    CONTROL_FILE,
     MODEL_FOLDER,
     POINTS_FILE,
     REPORT_FILE,
     ImageReport,
+    JobControl,
     ModelReport,
     ReconstructionJob,
     Report,
@@ -32,6 +35,7 @@ from mrgs.prepare.sfm.pairs import (
     pairs_nearby,
     pairs_to_match,
 )
+from mrgs.system.disk import read_text
 from mrgs.system.threads import available_cores
 
 CAMERA = 1
@@ -194,18 +198,81 @@ def map_images(
     if (job.folder / MODEL_FOLDER).is_dir():
         return
     models, nearby = _models_by_position(job, report, solve)
-    fresh = job.folder / f"{MODEL_FOLDER}.new"
-    shutil.rmtree(fresh, ignore_errors=True)
-    fresh.mkdir()
     if models:
         least = MIN_TRACK if len(job.files) >= FEW_IMAGES else 2
         for number, point in list(models[0].points3D.items()):
             if point.track.length() < least or point.error > MAX_ERROR_PX:
                 models[0].delete_point3D(number)
-        models[0].write_binary(fresh)
-        _save_points(models[0], job.files, fresh / POINTS_FILE)
-    (fresh / REPORT_FILE).write_bytes(msgspec.json.encode(_report(job, models, nearby)))
-    os.replace(fresh, job.folder / MODEL_FOLDER)
+    _write(job, MODEL_FOLDER, models[:1], _report(job, models, nearby))
+
+
+WHOLE_LENS = 0.97
+"""The whole lens is refined if features then fit better by that, else it explains their noise."""
+
+
+def adjust(job: ReconstructionJob, report: Report) -> None:
+    """Adjust the model to the points of the control file, if there is one, which stay in place.
+    The whole lens is refined where the features call for it."""
+    if not (job.folder / CONTROL_FILE).is_file():
+        return
+    report("adjusting", 0, 0)
+    content = read_text(job.folder / CONTROL_FILE)
+    similarity, points = msgspec.json.decode(content, type=JobControl)
+    model = pycolmap.Reconstruction(job.folder / MODEL_FOLDER)
+    model.transform(pycolmap.Sim3d(np.array(similarity)))
+    config = pycolmap.BundleAdjustmentConfig()
+    for number in model.reg_image_ids():
+        config.add_image(number)
+    # An image's pixels can be moved but not added to: marks take those of unused features.
+    images = {image.name: image for image in model.images.values()}
+    unused = {
+        name: iter([n for n, pixel in enumerate(image.points2D) if not pixel.has_point3D()])
+        for name, image in images.items()
+    }
+    added = []
+    for place, marks in points:
+        track = pycolmap.Track()
+        for file, *pixel in marks:
+            if (number := next(unused[file], None)) is not None:
+                images[file].points2D[number].xy = np.array(pixel)
+                track.add_element(images[file].image_id, number)
+        added.append(model.add_point3D(np.array(place), track))
+        config.add_constant_point(added[-1])
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = job.focal_widths is None
+    options.ceres.solver_options.num_threads = 1  # threads add in any order
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    whole = pycolmap.Reconstruction(model)
+    focal, x, y, k1 = model.cameras[CAMERA].params
+    whole.cameras[CAMERA].model = pycolmap.CameraModelId.OPENCV
+    whole.cameras[CAMERA].params = [focal, focal, x, y, k1, 0, 0, 0]
+    options.refine_principal_point = True
+    pycolmap.create_default_bundle_adjuster(options, config, whole).solve()
+    for each in (model, whole):
+        for number in added:
+            each.delete_point3D(number)
+        each.update_point_3d_errors()
+    limit_px = WHOLE_LENS * model.compute_mean_reprojection_error()
+    model = whole if whole.compute_mean_reprojection_error() < limit_px else model
+    before = (job.folder / MODEL_FOLDER / REPORT_FILE).read_bytes()
+    error_px = model.compute_mean_reprojection_error()
+    made = msgspec.json.decode(before, type=ModelReport)
+    _write(job, ADJUSTED_FOLDER, [model], msgspec.structs.replace(made, reprojection_px=error_px))
+
+
+def _write(
+    job: ReconstructionJob, name: str, models: Sequence[pycolmap.Reconstruction], made: ModelReport
+) -> None:
+    """Write a report, and the model if there is one, into a folder of the job."""
+    fresh = job.folder / f"{name}.new"
+    for folder in (fresh, job.folder / name):
+        shutil.rmtree(folder, ignore_errors=True)
+    fresh.mkdir()
+    for model in models:
+        model.write_binary(fresh)
+        _save_points(model, job.files, fresh / POINTS_FILE)
+    (fresh / REPORT_FILE).write_bytes(msgspec.json.encode(made))
+    os.replace(fresh, job.folder / name)
 
 
 def _models_by_position(

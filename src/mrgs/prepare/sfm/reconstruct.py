@@ -25,12 +25,16 @@ from mrgs.data.kept import digest
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction, Skipped, TooFewPosesError
+from mrgs.prepare.control import Fixed
 from mrgs.prepare.sfm.job import (
+    ADJUSTED_FOLDER,
+    CONTROL_FILE,
     IMAGE_FOLDER,
     JOB_FILE,
     MODEL_FOLDER,
     POINTS_FILE,
     REPORT_FILE,
+    SFM_FOLDER,
     ImageReport,
     JobFile,
     JobImage,
@@ -39,7 +43,8 @@ from mrgs.prepare.sfm.job import (
 )
 from mrgs.scene import THERMAL, Modality, PointCloud
 from mrgs.scene.camera import focal_length
-from mrgs.system.atomic import replacing, write_error
+from mrgs.scene.similarity import Similarity
+from mrgs.system.atomic import remove, replacing, write_error, write_text
 from mrgs.system.child import OUT_OF_MEMORY, Child
 from mrgs.system.disk import read_text
 from mrgs.system.wording import listed
@@ -79,7 +84,7 @@ def reconstruct(
             f"poses need {MIN_VIEWS} photos at least, and {len(images)} can be used; take more, "
             f"all around"
         )
-    folder = work / "sfm"
+    folder = work / SFM_FOLDER
     positions, focal_widths = positions_of(images, gps or {}), None
     if field_of_view_deg is not None:
         focal_widths = focal_length(1.0, math.radians(field_of_view_deg))
@@ -159,13 +164,29 @@ ROUGH_PX = 1.0
 _NAMED = 6
 
 
-def read_result(folder: Path, images: Modality) -> Reconstruction:
+def adjusted(
+    folder: Path, images: Modality, progress: Progress, similarity: Similarity, points: Fixed
+) -> Reconstruction:
+    """The model of ``reconstruct`` in the world of a similarity, adjusted to places in it by
+    their marks. SceneError and RunError as for ``run_colmap``."""
+    files = {image.name: image.file for image in read_job_file(folder).images}
+    matrix = np.column_stack([similarity.scale * similarity.rotation, similarity.translation])
+    rows = [(at, [(files[view], *pixel) for view, pixel in marks.items()]) for at, marks in points]
+    write_text(folder / CONTROL_FILE, msgspec.json.encode((matrix.tolist(), rows)).decode())
+    try:
+        run_colmap(folder, progress)
+    finally:
+        remove(folder / CONTROL_FILE)
+    return read_result(folder, images, ADJUSTED_FOLDER)
+
+
+def read_result(folder: Path, images: Modality, name: str = MODEL_FOLDER) -> Reconstruction:
     """The largest model in a folder in which ``mrgs.prepare.sfm`` completed its job, with the
     reason for each image that is not in it. TooFewPosesError if fewer than ``MIN_VIEWS`` images
     have a pose."""
     job = read_job_file(folder)
     names = {image.file: image.name for image in job.images}
-    model = folder / MODEL_FOLDER
+    model = folder / name
     report = msgspec.json.decode(read_text(model / REPORT_FILE), type=ModelReport)
     failed = tuple(
         Skipped(name, _reason(image, report.groups, names))
