@@ -31,6 +31,7 @@ from mrgs.app.terminal import (
     print_exported,
     print_figures,
     print_metrics,
+    print_note,
     print_viewer_address,
     read_text,
     say,
@@ -162,6 +163,7 @@ def _run(argv: list[str] | None) -> int:
         commands.Export: _export,
         commands.Report: _report,
         commands.Diff: _diff,
+        commands.ListModules: _modules,
         commands.Demo: lambda given: follow_pipeline(
             _bundled_scene(), given, commands.PhotoOptions().options(), True
         ),
@@ -348,6 +350,25 @@ def _diff(command: commands.Diff) -> None:
     say(f"{counted(len(changes), 'change')}; common change {common} K, {said} all ΔT")
     folder = command.output or command.second / "diff"
     print_exported(folder, found.write(folder, command.language, command.pdf))
+
+
+def _modules(command: commands.ListModules) -> None:
+    from mrgs.report.modules import module_table
+    from mrgs.runs.open import load_run
+    from mrgs.system.wording import counted
+
+    try:
+        width, height = (float(side) for side in command.module.split("x"))
+    except ValueError:
+        raise ConfigError(f"--module {command.module}: write it as 1.05x1.75, in metres") from None
+    run = cropped(load_run(command.run, command.scene, command.device))
+    note_unfinished(run)
+    table = module_table(run, (width, height), command.power)
+    for note in table.notes:
+        print_note(note)
+    say(f"{counted(len(table.rows), 'module')}, {len(table.findings)} with findings")
+    folder = command.output or command.run / "modules"
+    print_exported(folder, table.write(folder, command.language))
 
 
 def _stated_survey(command: commands.Report) -> Survey | None:

@@ -56,6 +56,13 @@ class Modules(NamedTuple):
     corners: Float64[np.ndarray, "m 4 3"]
     numbers: Int64[np.ndarray, "m 3"]
 
+    @property
+    def sides(self) -> Float64[np.ndarray, "2"]:
+        """Usual lengths along the row and across it, metres."""
+        sides = self.corners[:, (1, 3)] - self.corners[:, :1]
+        found: Float64[np.ndarray, "2"] = np.median(np.linalg.norm(sides, axis=2), axis=0)
+        return found
+
 
 def find_modules(
     celsius: Plane,
@@ -94,7 +101,15 @@ def find_modules(
             f"size, and see whether a map from above shows their frames",
             options=("module",),
         )
-    return _in_space(at, sides, step * axes, first, heights, pixel_m)
+    found = _in_space(at, sides, step * axes, first, heights, pixel_m)
+    low, high = sorted(found.sides.tolist())
+    if np.abs(np.divide([low, high], sorted(size_m)) - 1).max() > FITS:
+        raise RunError(
+            f"the modules on the map are about {low:.2f} × {high:.2f} m, not {size_m[0]:g} × "
+            f"{size_m[1]:g} m: state the size in their data sheet",
+            options=("module",),
+        )
+    return found
 
 
 def _direction(layers: list[Plane]) -> float:
@@ -250,7 +265,7 @@ def _numbered(at: Vectors, sides: Float64[np.ndarray, "2"]) -> tuple[np.ndarray,
         order, before = sparse.csgraph.breadth_first_order(links, root, directed=False)
         for one in order[1:]:
             way = (at[one] - at[before[one]]) / sides
-            way = np.sign(way) * np.floor(np.abs(way) + (HOLE, 0.5))
+            way = np.sign(way) * np.floor(np.abs(way) + np.array([HOLE, 0.5]))
             numbers[one, :0:-1] = numbers[before[one], :0:-1] + way
         numbers[order, 1:] -= numbers[order, 1:].min(axis=0) - 1
         row += middles[each][1] > level + 0.5 * sides[1]
