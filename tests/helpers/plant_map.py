@@ -86,9 +86,10 @@ def map_of(plant: Plant, look: Look, pixel_m: float = 0.05, seed: int = 0) -> Pl
     )
     for table in range(len(tables.row)):
         corner, along, up = (each[table] for each in (tables.corner, tables.along, tables.up))
-        near = (ends[table, :, :2].min(axis=0) - low) / step, (
-            ends[table, :, :2].max(axis=0) - low
-        ) / step
+        near = (
+            (ends[table, :, :2].min(axis=0) - low) / step,
+            (ends[table, :, :2].max(axis=0) - low) / step,
+        )
         left, bottom = np.floor(near[0]).astype(int) - 1
         right, top = np.ceil(near[1]).astype(int) + 1
         rows = slice(shape[0] - top, shape[0] - bottom)

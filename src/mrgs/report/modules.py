@@ -55,10 +55,11 @@ ENOUGH, POINTS, NEW = 6, 5000, 0.2
 """Photos of one place that are enough; points of the scene by which they are counted; and the share
 of its points that a photo must show to which others are too few."""
 
-EDGE_M, CELLS = 0.07, 6
-"""The frame, and what blur mixes with it; cells along the shorter side of a module."""
+EDGE_M, CELLS, SLACK_M = 0.07, 6, 2.0
+"""The frame, and what blur mixes with it; cells along the shorter side of a module; and how far
+from its plane a model may show glass, which has no texture."""
 
-LEAST_CELL_K, LEAST_PART_K = 4.0, 2.0
+LEAST_CELL_K, LEAST_PART_K = 3.0, 2.0
 """Smallest ΔT of a hot cell beside its third, and of a third or a module beside the neighbours."""
 
 LIMITS_K, LOSSES = (10.0, 20.0), (0.15, 0.3, 0.6)
@@ -286,7 +287,7 @@ class _Seen:
             near = visible(camera, middles).rows
             if len(near):
                 photo = readings.witness(view, camera.width)
-                rows, pixels, z = photo.shown(points[near].reshape(-1, 3))
+                rows, pixels, z = photo.shown(points[near].reshape(-1, 3), 0.0, SLACK_M)
                 sums.add(near[rows // size] * size + rows % size, photo.image[pixels], z)
         shape, total = points.shape[:3], sums.parts(OF_POINT).total
         photos = np.median(sums.photos.reshape(len(points), -1), axis=1)
@@ -324,8 +325,9 @@ def _judged(
         whole, doubt = (np.nanmedian(each, axis=(1, 2)) for each in (seen.celsius, seen.around))
         beside, spread = _beside(whole, numbers)
     usual = np.repeat(thirds, [each.shape[2] for each in parts], axis=1)[:, None]
+    usual = ndimage.maximum_filter1d(usual, 5, axis=2)  # the edge of a hot third is no cell
     excess = np.nan_to_num(seen.celsius - usual)
-    window = max(round(seen.celsius.shape[2] / CELLS / 2), 1)
+    window = max(int(seen.celsius.shape[2] / CELLS / 2), 1)
     smooth = ndimage.uniform_filter(excess, (0, window, window), mode="nearest")
     known = np.isfinite(seen.celsius).mean(axis=(1, 2)) > 0.5
     watts = None if irradiance is None or power_w is None else power_w * irradiance / NOMINAL_W_M2
