@@ -143,8 +143,9 @@ def test_the_table_is_written_as_page_csv_geojson_and_map(table, tmp_path):
 
 def test_a_run_without_celsius_metres_or_a_view_from_above_is_refused(opened: Run) -> None:
     scene = opened.load_scene()
-    cold = replace(opened, image_model=opened.image_model)
-    cold.__dict__["modalities"] = ()
+    cold = replace(opened, facts=opened.facts._replace(temperature=None))
+    with pytest.raises(RunError, match="no temperatures in °C"):
+        module_table(cold, (1.0, 1.7), scene=scene)
     unknown = replace(scene, world=WorldFrame())
     with pytest.raises(ConfigError, match="no scale"):
         module_table(opened, (1.0, 1.7), scene=unknown)

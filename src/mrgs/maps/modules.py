@@ -224,8 +224,9 @@ def _complete(
 ) -> Vectors:
     """The places that certainly are modules of a row, and those beside at least two of them near
     which something stands out less."""
-    usual = np.median(scores[scores > LEAST_SCORE]) if len(scores) else 0.0
-    certain = at[scores > max(LEAST_SCORE, WEAKER * usual)]
+    certain = at[scores > LEAST_SCORE]
+    if len(certain):
+        certain = at[scores > max(LEAST_SCORE, WEAKER * np.median(scores[scores > LEAST_SCORE]))]
     pairs, steps = _pairs(certain, sides, JUMP)
     graph = sparse.coo_array(
         (np.ones(_linked(steps).sum()), pairs[_linked(steps)].T), shape=(len(certain),) * 2
