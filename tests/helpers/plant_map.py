@@ -17,7 +17,7 @@ from mrgs_synth.solar_plant.layout import (
     drawn_plant,
 )
 
-FINER = 3
+FINER = 2
 """Rays of a pixel along each side."""
 
 GROUND_C, FRAME_C = 34.0, 42.0

@@ -104,6 +104,16 @@ def test_a_module_that_no_photo_shows_has_no_numbers():
     assert rows[8]["delta_k"] is not None
 
 
+@pytest.mark.parametrize(
+    ("irradiance", "said"),
+    [(None, "ist nicht angegeben"), (500.0, "unter 600"), (800.0, "0,19 kW")],
+)
+def test_the_page_says_what_the_sun_was(table, tmp_path, irradiance, said):
+    rows = tuple(row if irradiance else row | {"lost_w": None} for row in table.rows)
+    stated = replace(table, rows=rows, survey=Survey(irradiance_w_m2=irradiance))
+    assert said in stated.write(tmp_path, "de")[0].read_text(encoding="utf-8")
+
+
 @pytest.fixture
 def table(opened: Run) -> ModuleTable:
     celsius = seen_plant()

@@ -28,7 +28,6 @@ from mrgs.marks.tables import PART_NAMES
 from mrgs.marks.uncertainty import Budget
 from mrgs.pictures.settings import SETTINGS
 from mrgs.report.changes import HEADINGS, ChangeKind
-from mrgs.report.modules import HEADINGS as MODULE_HEADINGS
 from mrgs.report.modules import PARTS, SPOTS
 from mrgs.report.sections import conditions_of
 from mrgs.report.texts import LANGUAGES, Texts, catalogue
@@ -69,7 +68,7 @@ def said() -> set[str]:
         *PART_NAMES.values(),
         *HEADINGS,
         *get_args(ChangeKind),
-        *(each for each in (*MODULE_HEADINGS, *PARTS, *SPOTS) if each not in ("", "°C", "ΔT", "±")),
+        *filter(None, (*PARTS, *SPOTS)),
         *KINDS,
     }
 

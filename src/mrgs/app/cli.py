@@ -31,7 +31,6 @@ from mrgs.app.terminal import (
     print_exported,
     print_figures,
     print_metrics,
-    print_note,
     print_viewer_address,
     read_text,
     say,
@@ -364,8 +363,6 @@ def _modules(command: commands.ListModules) -> None:
     run = cropped(load_run(command.run, command.scene, command.device))
     note_unfinished(run)
     table = module_table(run, (width, height), command.power)
-    for note in table.notes:
-        print_note(note)
     say(f"{counted(len(table.rows), 'module')}, {len(table.findings)} with findings")
     folder = command.output or command.run / "modules"
     print_exported(folder, table.write(folder, command.language))

@@ -156,12 +156,6 @@ class SightingSums:
         """What the photos' cameras see in the model; NaN where none looks."""
         return np.where(self.photos > 0, self._rendered, np.float32(np.nan))
 
-    @property
-    def distance(self) -> Float32[np.ndarray, " p"]:
-        """Of the photos (z-depth, root mean of 1 / z²); NaN where none looks."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.sqrt(self.photos / self._weights)
-
     def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
         """The parts of the uncertainty; ``values`` of the places where their deviation counts."""
         seen = np.where(self.photos > 0, np.float32(1), np.float32(np.nan))

@@ -37,7 +37,6 @@ from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene, View
 from mrgs.scene.depth_map import visible
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
-from mrgs.system.wording import Message
 
 Values: TypeAlias = Float64[np.ndarray, " m"]
 
@@ -47,9 +46,8 @@ SIZES_M, POWERS_W = (0.3, 3.0), (1.0, 2000.0)
 NOMINAL_W_M2, LEAST_W_M2 = 1000.0, 600.0
 """Irradiance to which ΔT is normalised, and from which on that is meaningful."""
 
-FINEST, COARSEST, STANDARD_M = 1 / 40, 1 / 8, 0.03
-"""Pixels of the map and of the photos, as shares of a module's shorter side; what the standard asks
-of the photos' pixels."""
+FINEST, COARSEST = 1 / 40, 1 / 8
+"""Pixels of the map and of the photos, as shares of a module's shorter side."""
 
 ENOUGH, POINTS, NEW = 6, 5000, 0.2
 """Photos of one place that are enough; points of the scene by which they are counted; and the share
@@ -69,7 +67,6 @@ shares of a module's power that a hot cell costs below, between and above."""
 BESIDE = 8
 """Places to both sides in the row with which a module is compared."""
 
-HEADINGS = "Module", "Finding", "Class", "°C", "ΔT", "±", "ΔT at 1,000 W/m²", "W lost", "Photos"
 PARTS = "", "hot third", "two hot thirds", "hot module"
 SPOTS = "", "hot cell", "several hot cells"
 NUMBERS = "celsius", "delta_k", "uncertainty_k", "delta_1000_k", "hottest_c", "lost_w"
@@ -78,20 +75,10 @@ NUMBERS = "celsius", "delta_k", "uncertainty_k", "delta_1000_k", "hottest_c", "l
 @dataclass(frozen=True, eq=False)
 class ModuleTable:
     """The modules of a plant and what was measured of them, by their number; °C and K, NaN where
-    too few photos look.
-
-    Attributes:
-        scene: that shows them.
-        shown: its map.
-        names: such as R2.1-14: row 2, line 1, place 14.
-        corners: scene coordinates, [M, 4, 3].
-        rows: the columns of the table, without names and places.
-        sides: usual lengths of a module along the row and across it, metres.
-        pixel: width of the photos' pixels on the modules, metres.
-        survey: of the run.
-        power_w: of a module at 1,000 W/m², None if not stated.
-        notes: what to know, one sentence each.
-    """
+    too few photos look. ``names`` are such as R2.1-14, row 2, line 1, place 14;
+    ``corners`` in scene coordinates, [M, 4, 3]; ``rows`` the columns of the table without both;
+    ``sides`` those of most modules along the row and across it, ``pixel`` the width of the photos'
+    pixels on them, metres; ``power_w`` that of a module at 1,000 W/m², None if not stated."""
 
     scene: Scene
     shown: TemperatureMap
@@ -138,8 +125,10 @@ class ModuleTable:
             notes=[t(note) for note in self.notes],
             counts=np.bincount([row["class"] for row in self.rows], minlength=4).tolist(),
             figure=inline_image(picture, t("modules with findings"), png=True),
-            headings=HEADINGS,
-            listed=[self._texts(n, t) for n in found],
+            listed=[facts[n] for n in found],
+            number=lambda value, sign=False, decimals=1: (
+                DASH if value is None else t.number(number_text(value, decimals, sign=sign))
+            ),
             size=t.number(" × ".join(f"{side:.2f}" for side in self.sides)),
             pixel=t.number(f"{100 * self.pixel:.1f}"),
             lost=t.number(f"{sum(lost) / 1000:.2f}") if lost else "",
@@ -148,19 +137,6 @@ class ModuleTable:
         features = zip(facts, marks, strict=True)
         geojson = write_features(folder / "modules.geojson", features, self.scene.world)
         return [page, csv, geojson, write_png(folder / "modules.png", picture)]
-
-    def _texts(self, number: int, t: Texts) -> list[str]:
-        """A module under ``HEADINGS``, and a remark."""
-        row = self.rows[number]
-
-        def text(name: str, decimals: int = 1) -> str:
-            value, sign = row[name], name.startswith("delta")
-            return DASH if value is None else t.number(number_text(value, decimals, sign=sign))
-
-        kinds = ", ".join(t(each) for each in row["finding"].split(", "))
-        numbers = [text(name) for name in ("celsius", "delta_k", "uncertainty_k", "delta_1000_k")]
-        texts = [self.names[number], kinds, str(row["class"]), *numbers, text("lost_w", 0)]
-        return [*texts, str(row["photos"]), t(row["remark"])]
 
 
 def module_table(
@@ -216,26 +192,11 @@ def module_table(
     seen = _Seen.by_photos(run, scene, corners, pixel)
     budget, irradiance = Budget.of(scene, survey_), survey_.irradiance_w_m2
     rows = tuple(_judged(seen, found.numbers, budget, irradiance, power_w, pixel))
-    notes = [*budget.notes]
-    if irradiance is None:
-        notes.append(
-            "The irradiance is not stated: ΔT is as measured, classes are by it, and no power is "
-            "given. State irradiance_w_m2 in survey.yaml."
-        )
-    elif irradiance < LEAST_W_M2:
-        text = (
-            "At {irradiance} W/m², below 600, ΔT is not normalised: classes are by ΔT as measured."
-        )
-        notes.append(Message(text, irradiance=f"{irradiance:g}"))
-    if pixel > STANDARD_M:
-        notes.append("The photos' pixels are wider than the 3 cm that the standard asks for.")
     names = tuple(f"R{row}.{line}-{place}" for row, line, place in found.numbers.tolist())
     width, height = found.sides.tolist()
     shown = TemperatureMap(drawn, False, scene.world.north)
-    table = ModuleTable(
-        scene, shown, names, corners, rows, (width, height), pixel, survey_, power_w, tuple(notes)
-    )
-    return table
+    sides, notes = (width, height), budget.notes
+    return ModuleTable(scene, shown, names, corners, rows, sides, pixel, survey_, power_w, notes)
 
 
 def _enough(scene: Scene) -> tuple[View, ...]:
