@@ -23,9 +23,9 @@ SIDE_PX = 16
 INSIDE_PX, SLACK_PX = 2, 2
 """A border is compared with what is so far inside, and looked for so far from its place."""
 
-LEAST_SCORE, WEAKER, SUPPORTED = 3.0, 0.4, 1.0
-"""Standard deviations by which the weakest border of a module stands out; at least this share of
-what is usual; and by how many it does in a place between modules that were found."""
+LEAST_SCORE, WEAKER, WEAKEST, SUPPORTED = 3.0, 0.4, 0.12, 1.0
+"""Standard deviations by which the weakest border of a module stands out; at least these shares of
+what is usual for modules, and what is strong; and by how many between modules that were found."""
 
 TILTS = [side for f in np.arange(1.0, 0.49, -0.05) for side in ((f, 1.0), (1.0, f))]
 """Sides of a tilted module as seen from above, as shares."""
@@ -131,21 +131,21 @@ class _Borders:
         self.inside = inside
         texture = [ndimage.gaussian_laplace(each, 1.0)[inside] for each in layers]
         images = np.stack([a / _spread(b) for a, b in zip(layers, texture, strict=True)])
-        self._lines, self._near, self._within = [], [], []
+        self._lines, self.near, self._within = [], [], []
         for axis, sign in ((1, 1), (1, -1), (0, 1), (0, -1)):  # left, right, top and bottom
             step = images - np.roll(images, -sign * INSIDE_PX, 1 + axis)
             lines = ndimage.uniform_filter1d(step, round(0.7 * SIDE_PX), axis=2 - axis)
             line, unit = lines.sum(axis=0), _spread(lines.sum(axis=0)[inside])
             self._lines.append(line / unit)
-            self._near.append(ndimage.maximum_filter1d(line / unit, 2 * SLACK_PX + 1, axis=axis))
+            self.near.append(ndimage.maximum_filter1d(line / unit, 2 * SLACK_PX + 1, axis=axis))
             # Hot cells have edges in one layer alone: no borders of smaller modules.
             self._within.append(lines.min(axis=0) * len(lines) / unit)
 
     def score(self, sides: Float64[np.ndarray, "2"]) -> Plane:
         """Of modules in the middle of each pixel: by how much their weakest border stands out, less
         the strongest line inside."""
-        found = np.full(self._near[0].shape, np.inf, np.float32)
-        for number, (near, within) in enumerate(zip(self._near, self._within, strict=True)):
+        found = np.full(self.near[0].shape, np.inf, np.float32)
+        for number, (near, within) in enumerate(zip(self.near, self._within, strict=True)):
             axis = 1 - number // 2
             half = round(sides[1 - axis] / 2)
             width = max(2 * (half - INSIDE_PX - SLACK_PX - 1), 1)
@@ -197,6 +197,10 @@ def _peaks(
     )
     rows, columns = np.nonzero(peak & (score > SUPPORTED))
     scores = score[rows, columns].astype(float)
+    if (scores > LEAST_SCORE).any():
+        strong = np.percentile([near[borders.inside] for near in borders.near], 99)
+        if np.median(scores[scores > LEAST_SCORE]) < WEAKEST * strong:
+            scores[:] = 0.0  # cells have borders, too
     return borders.middles(rows, columns, sides, scores > LEAST_SCORE), scores, sides
 
 
