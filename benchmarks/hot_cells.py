@@ -1,160 +1,119 @@
-"""How well models show the hot cells of a solar plant: `python -m benchmarks.hot_cells RUN...`
+"""How well `mrgs modules` lists a solar plant: `python -m benchmarks.hot_cells RUN...`
 
-Exports the map of each run (``mrgs export --format ortho``), looks for places that are hotter than
-the row around them, and compares these with ``truth/defects.json`` of the plant that
-``mrgs synth --scene solar-plant`` made. Prints a table.
+Lists the modules of each run, and compares places, kinds and ΔT with the plant that ``mrgs synth
+--scene solar-plant`` made: its layout, and ``truth/defects.json``. Prints a table.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy.ndimage import label, map_coordinates, maximum_filter, percentile_filter
 
-from mrgs.export.write import export_run
-from mrgs.maps.options import MapOptions
+from mrgs.report.modules import ModuleTable, module_table
 from mrgs.runs.open import load_run
+from mrgs_synth.solar_plant.flight import footprint_m
+from mrgs_synth.solar_plant.layout import MODULE_M, TABLE_MODULES, Plant, drawn_plant
 
-PIXEL_M = 0.05
+Numbers = tuple[int, int, int]
+FAR = 0.5
+"""A module is in a wrong place if its middle is so many of its shorter sides away."""
 
-HALF_ROW_M = 3.5
-"""A place is compared with the row to its left and with the row to its right, so far."""
-
-FRAME_M = 0.25
-"""The cool frames of modules do not count as the row: the warmest median so far to their sides
-does."""
-
-HOTTER_C = 2.0
-"""Than the warmer of their medians: a hot place."""
-
-NEAR_M = 0.3
-"""A hot place belongs to a defect if its middle is at most so far outside of it."""
+KINDS = {"cell": "hot cell", "substring": "hot third", "module": "hot module"}
 
 
-class HotPlace(NamedTuple):
-    """A place that is hotter than the row around it: x and y in the scene (m), and by how many °C
-    (the 90th percentile of its pixels)."""
+class Errors(NamedTuple):
+    """What is wrong with a table: modules that are missing, that are none, and in a wrong place;
+    distances of the others' middles, m; findings at sound modules; and for each kind of defect its
+    ΔT, the error of it, and the ± (K; NaN where another kind or nothing was found)."""
 
-    x: float
-    y: float
-    delta_c: float
-
-
-class Found(NamedTuple):
-    """A defect and what a map shows of it: its kind, the distance of the hot place from its middle
-    (m; NaN if there is none), its ΔT and that of the hot place (°C)."""
-
-    kind: str
-    away_m: float
-    true_c: float
-    shown_c: float
+    modules: int
+    lost: int
+    invented: int
+    misplaced: int
+    away_m: np.ndarray
+    false: int
+    kinds: Mapping[str, np.ndarray]
 
 
-def read_map(path: Path) -> tuple[Float[np.ndarray, "h w"], float, float]:
-    """°C of a map, resampled to pixels of ``PIXEL_M`` along x and y of the scene, y upwards; x and
-    y of its first pixel's middle."""
-    import rasterio
-
-    with rasterio.open(path) as file:
-        celsius = file.read(1)
-    facts = json.loads(path.with_name(f"{path.name}.json").read_text(encoding="utf-8"))
-    corner, right, up = (
-        np.array(facts[name])[:2]
-        for name in ("map_corner_in_scene", "map_right_in_scene", "map_up_in_scene")
-    )
-    pixel = facts["pixel_m"]
-    height, width = celsius.shape
-    ends = [corner + pixel * (i * width * right + j * height * up) for i in (0, 1) for j in (0, 1)]
-    low, high = np.min(ends, axis=0), np.max(ends, axis=0)
-    x, y = (np.arange(a, b, PIXEL_M) for a, b in zip(low, high, strict=True))
-    places = np.stack(np.meshgrid(x, y), axis=-1) - corner
-    row, column = height - places @ up / pixel - 0.5, places @ right / pixel - 0.5
-    known = np.isfinite(celsius)
-    values = map_coordinates(np.where(known, celsius, 0.0), [row, column], order=1)
-    weight = map_coordinates(known.astype(float), [row, column], order=1)
-    return np.where(weight > 0.99, values, np.nan), float(x[0]), float(y[0])
+def plant_of(scene: Path) -> tuple[Plant, list[dict[str, Any]]]:
+    """The plant that a generated scene shows, and its defects."""
+    facts = json.loads((scene / "truth/synth.json").read_text(encoding="utf-8"))
+    border = 1.5 * max(footprint_m(facts["width"], facts["height"]))
+    rng = np.random.default_rng([facts["seed"], 0])
+    plant = drawn_plant(facts["rows"], facts["modules"], border, rng)
+    defects = json.loads((scene / "truth/defects.json").read_text(encoding="utf-8"))["defects"]
+    return plant, defects
 
 
-def hot_places(celsius: Float[np.ndarray, "h w"], x0: float, y0: float) -> list[HotPlace]:
-    """Hot places on rows of modules along x, which are warmer than the ground.
-
-    Args:
-        celsius: see ``read_map``.
-        x0: x of the first pixel's middle.
-        y0: y of the first pixel's middle.
-    """
-    limit = _between_ground_and_modules(celsius[np.isfinite(celsius)])
-    known = np.where(np.isfinite(celsius), celsius, limit - 10.0)
-    half = round(HALF_ROW_M / PIXEL_M)
-    sides = [
-        percentile_filter(known, 50, size=(1, half), origin=(0, shift), mode="nearest")
-        for shift in (-(half // 2), half // 2 - 1 + half % 2)
-    ]
-    across = 2 * round(FRAME_M / PIXEL_M) + 1
-    around = maximum_filter(np.maximum(*sides), size=(across, 1))
-    excess = np.where(around > limit, known - around, 0.0)
-    labels, count = label(excess > HOTTER_C)
-    found = []
-    for number in range(1, count + 1):
-        row, column = np.nonzero(labels == number)
-        weight = excess[row, column]
-        x, y = (float(np.average(each, weights=weight)) for each in (column, row))
-        found.append(HotPlace(x0 + PIXEL_M * x, y0 + PIXEL_M * y, float(np.percentile(weight, 90))))
+def true_modules(plant: Plant) -> dict[Numbers, tuple[tuple[int, int, int], np.ndarray]]:
+    """Table, column and row in it, and middle of each module by its numbers."""
+    tables, found = plant.tables, {}
+    rows = int(tables.row.max()) + 1
+    for table, (row, count) in enumerate(zip(tables.row, tables.modules, strict=True)):
+        before = int(tables.modules[:table][tables.row[:table] == row].sum())
+        for column in range(count):
+            for above in range(TABLE_MODULES[1]):
+                u, v = (column + 0.5) * MODULE_M[0], (above + 0.5) * MODULE_M[1]
+                middle = tables.corner[table] + u * tables.along[table] + v * tables.up[table]
+                numbers = rows - int(row), TABLE_MODULES[1] - above, before + column + 1
+                found[numbers] = (table, column, above), middle
     return found
 
 
-def _between_ground_and_modules(celsius: Float[np.ndarray, " n"]) -> float:
-    """The temperature halfway between those of the ground and of the modules (two means)."""
-    limit = float(celsius.mean())
-    for _ in range(20):
-        limit = float(celsius[celsius < limit].mean() + celsius[celsius >= limit].mean()) / 2
-    return limit
-
-
-def compare(defects: list[dict], places: list[HotPlace]) -> tuple[list[Found], int]:
-    """What hot places show of each defect, and how many of them are none."""
-    found, explained = [], set()
+def errors_of(table: ModuleTable, plant: Plant, defects: list[dict[str, Any]]) -> Errors:
+    """Compare a table with the truth."""
+    true = true_modules(plant)
+    rows = {(row["row"], row["line"], row["place"]): row for row in table.rows}
+    places = dict(zip(rows, table.corners.mean(axis=1), strict=True))
+    both = sorted(true.keys() & rows.keys())
+    away = np.array([np.linalg.norm((places[each] - true[each][1])[:2]) for each in both])
+    by_table = {table: numbers for numbers, (table, _) in true.items()}
+    first = {row: int(np.argmax(plant.tables.row == row)) for row in set(plant.tables.row.tolist())}
+    defect_of, kinds = {}, {kind: [] for kind in KINDS}
     for defect in defects:
-        middle, size = np.array(defect["position_m"][:2]), np.array(defect["size_m"])
-        best = Found(defect["kind"], np.nan, defect["delta_c"], np.nan)
-        for number, place in enumerate(places):
-            offset = np.array([place.x, place.y]) - middle
-            if (np.abs(offset) > size / 2 + NEAR_M).any():
-                continue
-            explained.add(number)
-            away = float(np.linalg.norm(offset))
-            if not away > best.away_m:  # NaN: the first
-                best = best._replace(away_m=away, shown_c=place.delta_c)
-        found.append(best)
-    return found, len(places) - len(explained)
+        numbers = by_table[(first[defect["row"]] + defect["table"], *defect["module"])]
+        defect_of[numbers] = defect
+        row, delta = rows.get(numbers, {"finding": ""}), defect["delta_c"]
+        found = KINDS[defect["kind"]] in row["finding"]
+        error = (row["delta_k"] - delta, row["uncertainty_k"]) if found else (np.nan, np.nan)
+        kinds[defect["kind"]].append((delta, *error))
+    return Errors(
+        len(true), len(true.keys() - rows.keys()), len(rows.keys() - true.keys()),
+        int((away > FAR * min(MODULE_M)).sum()), away,
+        sum(bool(rows[each]["finding"]) for each in both if each not in defect_of),
+        {kind: np.array(each) for kind, each in kinds.items()},
+    )  # fmt: skip
 
 
 def report(path: Path) -> None:
     """Print a run's table."""
+    started = time.process_time()
     run = load_run(path)
-    scene = run.load_scene()
-    truth = json.loads((Path(scene.path) / "truth/defects.json").read_text(encoding="utf-8"))
-    (tif, *_) = export_run(run, path / "export", "ortho", maps=MapOptions(pixel_size_m=PIXEL_M))
-    found, others = compare(truth["defects"], hot_places(*read_map(tif)))
-    print(f"\n{path}: {others} hot places that are no defect\n")
-    print("| | found | position error, median and largest | ΔT error, median (mean of its size) |")
-    print("|---|---|---|---|")
-    for kind in ("cell", "substring", "module"):
-        those = [each for each in found if each.kind == kind]
-        seen = [each for each in those if np.isfinite(each.away_m)]
-        if not seen:
-            print(f"| {kind} | 0 of {len(those)} | – | – |")
-            continue
-        away = np.array([each.away_m for each in seen])
-        error = np.array([each.shown_c - each.true_c for each in seen])
+    table = module_table(run, MODULE_M, scene=run.load_scene())
+    seconds = time.process_time() - started
+    found = errors_of(table, *plant_of(Path(table.scene.path)))
+    print(
+        f"\n{path}: {found.modules} modules, {found.lost} missing, {found.invented} invented, "
+        f"{found.misplaced} misplaced; middles off by {100 * np.median(found.away_m):.1f} cm, at "
+        f"most {100 * found.away_m.max():.1f}; {found.false} findings at sound modules; "
+        f"{100 * table.pixel:.1f} cm per pixel; {seconds:.0f} processor s, "
+        f"{len(table.scene.train)} photos used\n"
+    )
+    print("| | found | error of ΔT, median | mean size | within 2 K | within ± (median ±) |")
+    print("|---|---|---|---|---|---|")
+    for kind, each in found.kinds.items():
+        error, around = each[np.isfinite(each[:, 1]), 1:].T
+        size, within = np.abs(error), np.abs(error) <= around
         print(
-            f"| {kind} | {len(seen)} of {len(those)} | {100 * np.median(away):.1f} cm, "
-            f"{100 * away.max():.1f} cm | {np.median(error):+.2f} °C ({np.abs(error).mean():.2f}) |"
+            f"| {kind} | {len(error)} of {len(each)} | {np.median(error):+.2f} K "
+            f"| {size.mean():.2f} K | {(size <= 2).sum()} "
+            f"| {within.sum()} ({np.median(around):.1f}) |"
         )
 
 

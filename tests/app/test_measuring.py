@@ -247,3 +247,29 @@ def test_two_dates_are_listed_and_written(run, tmp_path, capsys, monkeypatch):
     assert change.split()[:2] == ["D1", "new"]
     assert "1 change; common change +1.25 K" in summary
     assert "diff.html" in opened
+
+
+@pytest.mark.parametrize(("size", "word"), [("1.05", "1.05x1.75"), ("1x0.1", "sides are")])
+def test_modules_have_a_size(run, capsys, size, word):
+    assert main(["modules", str(run), "--module", size]) == 2
+    assert word in capsys.readouterr().err
+    assert not (run / "modules").exists()
+
+
+def test_modules_are_listed_and_written(run, tmp_path, capsys, monkeypatch):
+    page = tmp_path / "modules.html"
+    page.write_text("page")
+    asked = []
+
+    def listed(opened, size_m, power_w):
+        asked.append((size_m, power_w))
+        found = {"rows": [{}] * 3, "findings": [1]}
+        return SimpleNamespace(**found, write=lambda folder, language: [page])
+
+    monkeypatch.setattr("mrgs.report.modules.module_table", listed)
+    given = ["--module", "1.05x1.75", "--power", "400", "--output", str(tmp_path)]
+    assert main(["modules", str(run), *given]) == 0
+    assert asked == [((1.05, 1.75), 400.0)]
+    said = capsys.readouterr().out
+    assert "3 modules, 1 with findings" in said
+    assert "modules.html" in said

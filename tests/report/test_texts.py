@@ -28,6 +28,7 @@ from mrgs.marks.tables import PART_NAMES
 from mrgs.marks.uncertainty import Budget
 from mrgs.pictures.settings import SETTINGS
 from mrgs.report.changes import HEADINGS, ChangeKind
+from mrgs.report.modules import PARTS, SPOTS
 from mrgs.report.sections import conditions_of
 from mrgs.report.texts import LANGUAGES, Texts, catalogue
 from mrgs.survey import LABELS, Side, Survey
@@ -47,6 +48,8 @@ def said() -> set[str]:
             "write.py",
             "diff.html",
             "changes.py",
+            "modules.html",
+            "modules.py",
         )
     ]
     joined = re.sub(r'"\n\s+"', "", re.sub(r't\(\n\s+"', 't("', "".join(sources)))
@@ -65,6 +68,7 @@ def said() -> set[str]:
         *PART_NAMES.values(),
         *HEADINGS,
         *get_args(ChangeKind),
+        *filter(None, (*PARTS, *SPOTS)),
         *KINDS,
     }
 

@@ -162,6 +162,7 @@ def _run(argv: list[str] | None) -> int:
         commands.Export: _export,
         commands.Report: _report,
         commands.Diff: _diff,
+        commands.ListModules: _modules,
         commands.Demo: lambda given: follow_pipeline(
             _bundled_scene(), given, commands.PhotoOptions().options(), True
         ),
@@ -343,6 +344,23 @@ def _diff(command: commands.Diff) -> None:
     say(f"{counted(len(changes), 'change')}; common change {common} K, {said} all ΔT")
     folder = command.output or command.second / "diff"
     print_exported(folder, found.write(folder, command.language, command.pdf))
+
+
+def _modules(command: commands.ListModules) -> None:
+    from mrgs.report.modules import module_table
+    from mrgs.runs.open import load_run
+    from mrgs.system.wording import counted
+
+    try:
+        width, height = (float(side) for side in command.module.split("x"))
+    except ValueError:
+        raise ConfigError(f"--module {command.module}: write it as 1.05x1.75, in metres") from None
+    run = cropped(load_run(command.run, command.scene, command.device))
+    note_unfinished(run)
+    table = module_table(run, (width, height), command.power)
+    say(f"{counted(len(table.rows), 'module')}, {len(table.findings)} with findings")
+    folder = command.output or command.run / "modules"
+    print_exported(folder, table.write(folder, command.language))
 
 
 def _stated_survey(command: commands.Report) -> Survey | None:

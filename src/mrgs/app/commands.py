@@ -451,6 +451,28 @@ class Diff:
 
 
 @dataclass(frozen=True)
+class ListModules:
+    """List the modules of a solar plant: place, ΔT, class, lost power.
+
+    Finds the modules in the map from above by their grid, numbers them by row and place, compares
+    each with its neighbours and classifies it by IEC TS 62446-3: modules.html, CSV, GeoJSON and a
+    map. ΔT at 1,000 W/m² and lost power need irradiance_w_m2 in RUN/survey.yaml.
+    """
+
+    run: RunPath
+    module: Annotated[str, tyro.conf.arg(metavar="METRESxMETRES")]
+    """Sides of a module, such as 1.05x1.75."""
+    power: Maybe[float] = None
+    """Power of a module at 1,000 W/m², W."""
+    output: Maybe[Path] = None
+    """Output folder; by default RUN/modules."""
+    language: Literal["en", "de", "fr"] = "en"
+    """Language of the page."""
+    scene: MovedScene = None
+    device: RenderDevice = "auto"
+
+
+@dataclass(frozen=True)
 class Demo:
     """Run the bundled scene: mrgs run on an example, in a few minutes."""
 
@@ -584,6 +606,7 @@ COMMANDS: dict[str, type] = {
     "view": ViewRun,
     "measure": Measure,
     "diff": Diff,
+    "modules": ListModules,
     "export": Export,
     "report": Report,
     "compare": CompareMethods,

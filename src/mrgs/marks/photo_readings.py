@@ -122,6 +122,7 @@ class SightingSums:
         self._weights, self._weights2, self._readings, self._squares = np.zeros(
             (4, places), np.float32
         )
+        self._rendered = np.zeros(places, np.float32)
         self._contrast, self._blur = np.zeros((2, places), np.float32)
 
     def add(
@@ -143,8 +144,14 @@ class SightingSums:
         for mean, new in (
             (self._contrast, np.square(values[:, SHIFTS]).mean(axis=1)),
             (self._blur, values[:, BLURRED]),
+            (self._rendered, values[:, RENDERED]),
         ):
             mean[rows] += share * (new - mean[rows])
+
+    @property
+    def rendered(self) -> Float32[np.ndarray, " p"]:
+        """What the photos' cameras see in the model; NaN where none looks."""
+        return np.where(self.photos > 0, self._rendered, np.float32(np.nan))
 
     def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
         """The parts of the uncertainty; ``values`` of the places where their deviation counts."""
@@ -204,7 +211,7 @@ class PhotoReadings:
     def __getitem__(self, index: int) -> DepthMap:
         """Depth and channels of a photo; NaN where masked. SceneError if it cannot be read."""
         if index not in self._maps:
-            self._maps[index] = self._witness(self._views[index])
+            self._maps[index] = self.witness(self._views[index])
         return self._maps[index]
 
     def _near(self, points: Float32[np.ndarray, "n 3"]) -> Iterator[DepthMap]:
@@ -255,9 +262,10 @@ class PhotoReadings:
         with_rounding = float(np.quantile(variances, EVEN_SHARE)) if len(variances) else 0.0
         return self._step * rounding_of_mean(max(with_rounding - 1 / 12, 0.0))
 
-    def _witness(self, view: View) -> DepthMap:
+    def witness(self, view: View, width_px: int = WIDTH_PX) -> DepthMap:
+        """Depth and channels of any photo, at most ``width_px`` wide; see ``__getitem__``."""
         photo = view.images[THERMAL]
-        camera = photo.camera.with_width(min(photo.camera.width, WIDTH_PX))
+        camera = photo.camera.with_width(min(photo.camera.width, width_px))
         rendering = self._render(camera)
         record = partial(
             self._respond,

@@ -1,0 +1,335 @@
+"""The modules of a photovoltaic plant: how warm each is against its neighbours in the row, what
+that is by IEC TS 62446-3, and what power is lost. ``docs/modules.md`` has the sources."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy import ndimage
+
+from mrgs.errors import ConfigError, RunError
+from mrgs.maps.crs import LOCAL, require_metres
+from mrgs.maps.draw import draw_map
+from mrgs.maps.modules import find_modules
+from mrgs.maps.options import MapOptions
+from mrgs.maps.surfaces import grid_from_above, median_distance, survey
+from mrgs.marks.mark import Mark, places_of
+from mrgs.marks.measure import NARROW_HOT, NO_PHOTO
+from mrgs.marks.photo_readings import COVERAGE, OF_POINT, PhotoReadings, SightingSums
+from mrgs.marks.resolution import RESOLVED_PX
+from mrgs.marks.tables import DASH, write_features, write_rows
+from mrgs.marks.uncertainty import Budget
+from mrgs.pictures.files import write_png
+from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
+from mrgs.pictures.numbers import number_text
+from mrgs.report.overview import Style, TemperatureMap, faces_one_side, has_map
+from mrgs.report.texts import Language, Texts
+from mrgs.runs.baked import bake
+from mrgs.runs.open import Run
+from mrgs.scene import THERMAL, Scene, View
+from mrgs.scene.depth_map import visible
+from mrgs.survey import SURVEY_FILE, Survey, read_survey
+
+Values: TypeAlias = Float64[np.ndarray, " m"]
+
+SIZES_M, POWERS_W = (0.3, 3.0), (1.0, 2000.0)
+"""What modules may have."""
+
+NOMINAL_W_M2, LEAST_W_M2 = 1000.0, 600.0
+"""Irradiance to which ΔT is normalised, and from which on that is meaningful."""
+
+FINEST, COARSEST = 1 / 40, 1 / 8
+"""Pixels of the map and of the photos, as shares of a module's shorter side."""
+
+ENOUGH, POINTS, NEW = 6, 5000, 0.2
+"""Photos of one place that are enough; points of the scene by which they are counted; and the share
+of its points that a photo must show to which others are too few."""
+
+EDGE_M, CELLS, SLACK_M = 0.07, 6, 2.0
+"""The frame, and what blur mixes with it; cells along the shorter side of a module; and how far
+from its plane a model may show glass, which has no texture."""
+
+LEAST_CELL_K, LEAST_PART_K = 3.0, 2.0
+"""Smallest ΔT of a hot cell beside its third, and of a third or a module beside the neighbours."""
+
+LIMITS_K, LOSSES = (10.0, 20.0), (0.15, 0.3, 0.6)
+"""ΔT at 1,000 W/m² from which on a hot cell is of class 2, and any finding of class 3; and the
+shares of a module's power that a hot cell costs below, between and above."""
+
+BESIDE = 8
+"""Places to both sides in the row with which a module is compared."""
+
+PARTS = "", "hot third", "two hot thirds", "hot module"
+SPOTS = "", "hot cell", "several hot cells"
+NUMBERS = "celsius", "delta_k", "uncertainty_k", "delta_1000_k", "hottest_c", "lost_w"
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleTable:
+    """The modules of a plant and what was measured of them, by their number; °C and K, NaN where
+    too few photos look. ``names`` are such as R2.1-14, row 2, line 1, place 14;
+    ``corners`` in scene coordinates, [M, 4, 3]; ``rows`` the columns of the table without both;
+    ``sides`` those of most modules along the row and across it, ``pixel`` the width of the photos'
+    pixels on them, metres; ``power_w`` that of a module at 1,000 W/m², None if not stated."""
+
+    scene: Scene
+    shown: TemperatureMap
+    names: tuple[str, ...]
+    corners: Float64[np.ndarray, "m 4 3"]
+    rows: tuple[dict[str, Any], ...]
+    sides: tuple[float, float]
+    pixel: float
+    survey: Survey
+    power_w: float | None
+    notes: tuple[str, ...]
+
+    @property
+    def findings(self) -> list[int]:
+        """Numbers of the modules that are not sound, the most severe and hottest first."""
+        found = [n for n, row in enumerate(self.rows) if row["finding"]]
+        return sorted(found, key=lambda n: (-self.rows[n]["class"], -self.rows[n]["delta_k"]))
+
+    def write(self, folder: str | Path, language: Language = "en") -> list[Path]:
+        """Write ``modules.html``, ``modules.csv``, ``modules.geojson`` and ``modules.png`` into a
+        folder; returns the paths. RunError if a file cannot be written."""
+        folder, t = Path(folder), Texts(language)
+        facts = [
+            {"name": name, **row, **dict(zip("xyz", corners.mean(axis=0).tolist(), strict=True))}
+            for name, row, corners in zip(self.names, self.rows, self.corners, strict=True)
+        ]
+        found, eye = self.findings, tuple(self.scene.train[0].camera.position.tolist())
+        marks = [
+            Mark(name, "polygon", places_of(corners.tolist()), eye)
+            for name, corners in zip(self.names, self.corners, strict=True)
+        ]
+        chosen = {marks[n].name: marks[n] for n in found}
+        picture = self.shown.picture(chosen, Style(decimal=t.decimal))
+        lost = [row["lost_w"] for row in self.rows if row["lost_w"] is not None]
+        page = write_html(
+            folder / "modules.html",
+            "report/modules.html",
+            title=t("{name}: modules", name=self.scene.name),
+            subtitle=t.date(datetime.date.today()),
+            styles=[PAGE_STYLE, "report/report.css"],
+            language=language,
+            t=t,
+            table=self,
+            notes=[t(note) for note in self.notes],
+            counts=np.bincount([row["class"] for row in self.rows], minlength=4).tolist(),
+            figure=inline_image(picture, t("modules with findings"), png=True),
+            listed=[facts[n] for n in found],
+            number=lambda value, sign=False, decimals=1: (
+                DASH if value is None else t.number(number_text(value, decimals, sign=sign))
+            ),
+            size=t.number(" × ".join(f"{side:.2f}" for side in self.sides)),
+            pixel=t.number(f"{100 * self.pixel:.1f}"),
+            lost=t.number(f"{sum(lost) / 1000:.2f}") if lost else "",
+        )
+        csv = write_rows(folder / "modules.csv", list(facts[0]), facts)
+        features = zip(facts, marks, strict=True)
+        geojson = write_features(folder / "modules.geojson", features, self.scene.world)
+        return [page, csv, geojson, write_png(folder / "modules.png", picture)]
+
+
+def module_table(
+    run: Run, size_m: tuple[float, float], power_w: float | None = None, scene: Scene | None = None
+) -> ModuleTable:
+    """Find and measure the modules of a plant.
+
+    Args:
+        run: of photos that look down on the plant.
+        size_m: the sides of a module, in any order.
+        power_w: of a module at 1,000 W/m².
+        scene: that the run was trained on, where it has been read before.
+
+    Raises:
+        ConfigError: a number that modules do not have, or the scene is not in metres.
+        RunError: the run has no °C, its photos do not look down or are too coarse, or there are no
+            modules of this size.
+        SceneError: the scene or a photo cannot be read.
+    """
+    if not all(SIZES_M[0] <= side <= SIZES_M[1] for side in size_m):
+        raise ConfigError(
+            "a module's sides are 0.3 to 3 m, such as 1.05 and 1.75", options=("module",)
+        )
+    if power_w is not None and not POWERS_W[0] <= power_w <= POWERS_W[1]:
+        raise ConfigError(f"a module's power is 1 to 2,000 W, not {power_w:g}", options=("power",))
+    path = run.folder.path
+    if run.temperature is None or THERMAL not in run.modalities:
+        raise RunError(f"{path} has no temperatures in °C: train it on thermal photos in °C")
+    scene, survey_ = scene or run.load_scene(), read_survey(path / SURVEY_FILE)
+    require_metres(scene)
+    if not has_map(scene) or faces_one_side(scene):
+        raise RunError(
+            f"the photos of {scene.name} do not look down: photograph a plant from above"
+        )
+    scene = replace(scene, train=_enough(scene))
+    baked = bake(run.model, scene.train_cameras, run.temperature)
+    maps = survey(baked, scene)
+    focal = np.median([photo.camera.focal_px for photo in scene.train_photos(THERMAL)])
+    pixel, least = median_distance(maps) / float(focal), min(size_m)
+    if pixel > COARSEST * least:
+        raise RunError(
+            f"a pixel of the thermal photos is {100 * pixel:.0f} cm wide, a module {least:g} m: "
+            f"photograph the plant from nearer"
+        )
+    options = MapOptions(pixel_size_m=max(pixel, FINEST * least))
+    grid, coverage = grid_from_above(scene, maps, LOCAL, options)
+    drawn = draw_map(baked, scene, maps, grid, None, coverage)
+    found = find_modules(
+        drawn.celsius, drawn.bands[1:4], drawn.points @ grid.axes[2].astype(np.float32),
+        grid.pixel_m, size_m,
+    )  # fmt: skip
+    corners = (found.corners + np.array([grid.left, grid.top, 0.0])) @ grid.axes
+    seen = _Seen.by_photos(run, scene, corners, pixel)
+    budget, irradiance = Budget.of(scene, survey_), survey_.irradiance_w_m2
+    rows = tuple(_judged(seen, found.numbers, budget, irradiance, power_w, pixel))
+    names = tuple(f"R{row}.{line}-{place}" for row, line, place in found.numbers.tolist())
+    width, height = found.sides.tolist()
+    shown = TemperatureMap(drawn, False, scene.world.north)
+    sides, notes = (width, height), budget.notes
+    return ModuleTable(scene, shown, names, corners, rows, sides, pixel, survey_, power_w, notes)
+
+
+def _enough(scene: Scene) -> tuple[View, ...]:
+    """The training views without those whose places enough others show, drawn at random."""
+    rng, positions = np.random.default_rng(0), scene.points.positions.numpy()
+    points = positions[rng.permutation(len(positions))[:POINTS]].astype(np.float32)
+    counts, kept = np.zeros(len(points), int), set[int]()
+    for index in rng.permutation(len(scene.train)).tolist():
+        photo = scene.train[index].images.get(THERMAL)
+        rows = np.zeros(0, int) if photo is None else visible(photo.camera, points).rows
+        if photo is not None and (not len(rows) or (counts[rows] < ENOUGH).mean() > NEW):
+            counts[rows] += 1
+            kept.add(index)
+    return tuple(view for index, view in enumerate(scene.train) if index in kept)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What photos show on M modules, [M, L, S], along their longer and their shorter sides without
+    the frame: °C as their cameras see them in the model, NaN where none looks, and uncertainty, K;
+    how many photos look; and the distance of two places, metres."""
+
+    celsius: Float64[np.ndarray, "m l s"]
+    around: Float64[np.ndarray, "m l s"]
+    photos: Values
+    step: float
+
+    @classmethod
+    def by_photos(
+        cls, run: Run, scene: Scene, corners: Float64[np.ndarray, "m 4 3"], pixel: float
+    ) -> _Seen:
+        """Look at all modules photo by photo. SceneError if a photo cannot be read."""
+        first, sides = corners[:, 0], corners[:, (3, 1)] - corners[:, :1]
+        lengths = np.median(np.linalg.norm(sides, axis=2), axis=0)
+        sides, lengths = sides[:, np.argsort(-lengths)], np.sort(lengths)[::-1]
+        step = max(pixel, lengths[1] * FINEST)
+        counts = np.ceil((lengths - 2 * EDGE_M) / step).astype(int)
+        shares = [
+            np.linspace(EDGE_M / length, 1 - EDGE_M / length, count)
+            for length, count in zip(lengths, counts, strict=True)
+        ]
+        at = np.stack(np.meshgrid(*shares, indexing="ij"), axis=-1)
+        points = (first[:, None, None] + at @ sides[:, None]).astype(np.float32)
+        size, middles = at[..., 0].size, points.mean(axis=(1, 2))
+        readings = PhotoReadings(run.render, run.camera_response, scene.train, run.temperature)
+        sums = SightingSums(len(points) * size)
+        for view in scene.train:
+            camera = view.images[THERMAL].camera
+            near = visible(camera, middles).rows
+            if len(near):
+                photo = readings.witness(view, camera.width)
+                rows, pixels, z = photo.shown(points[near].reshape(-1, 3), 0.0, SLACK_M)
+                sums.add(near[rows // size] * size + rows % size, photo.image[pixels], z)
+        shape, total = points.shape[:3], sums.parts(OF_POINT).total
+        photos = np.median(sums.photos.reshape(len(points), -1), axis=1)
+        around = total.reshape(shape).astype(np.float64)
+        return cls(sums.rendered.reshape(shape).astype(np.float64), around, photos, float(step))
+
+
+def _beside(whole: Values, numbers: Int64[np.ndarray, "m 3"]) -> tuple[Values, Values]:
+    """The median temperature of the neighbours in the row of each module, and half of the interval
+    of 95 of 100 of them; where there are few, of the row, and of the plant."""
+    found = np.empty((2, len(whole)))
+    for n, (row, _, place) in enumerate(numbers):
+        others = np.arange(len(whole)) != n
+        in_row = others & (numbers[:, 0] == row)
+        near = in_row & (np.abs(numbers[:, 2] - place) <= BESIDE)
+        values = whole[next(each for each in (near, in_row, others) if each.sum() > 3)]
+        found[0, n] = np.nanmedian(values)
+        found[1, n] = COVERAGE * np.nanmedian(np.abs(values - found[0, n])) / 0.6745
+    return found[0], found[1]
+
+
+def _judged(
+    seen: _Seen,
+    numbers: Int64[np.ndarray, "m 3"],
+    budget: Budget,
+    irradiance: float | None,
+    power_w: float | None,
+    pixel: float,
+) -> Iterator[dict[str, Any]]:
+    """The columns of the table for each module."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # modules that no photo sees
+        parts = np.array_split(seen.celsius, 3, axis=2)
+        thirds = np.stack([np.nanmedian(each, axis=(1, 2)) for each in parts], axis=1)
+        whole, doubt = (np.nanmedian(each, axis=(1, 2)) for each in (seen.celsius, seen.around))
+        beside, spread = _beside(whole, numbers)
+    usual = np.repeat(thirds, [each.shape[2] for each in parts], axis=1)[:, None]
+    usual = ndimage.maximum_filter1d(usual, 5, axis=2)  # the edge of a hot third is no cell
+    excess = np.nan_to_num(seen.celsius - usual)
+    window = max(int(seen.celsius.shape[2] / CELLS / 2), 1)
+    smooth = ndimage.uniform_filter(excess, (0, window, window), mode="nearest")
+    known = np.isfinite(seen.celsius).mean(axis=(1, 2)) > 0.5
+    watts = None if irradiance is None or power_w is None else power_w * irradiance / NOMINAL_W_M2
+    stated = irradiance is not None and irradiance >= LEAST_W_M2
+    factor = NOMINAL_W_M2 / irradiance if irradiance is not None and stated else None
+    for n, line_of in enumerate(numbers.tolist()):
+        at = np.unravel_index(int(smooth[n].argmax()), smooth[n].shape)
+        cell = float(smooth[n][at])
+        hottest, doubt_there = float(usual[n, 0, at[1]] + cell), float(seen.around[n][at])
+        hot = int((thirds[n] - beside[n] >= LEAST_PART_K).sum())
+        spots, count = ndimage.label(smooth[n] > max(LEAST_CELL_K, cell / 2))
+        part, share = float(np.sort(thirds[n])[-max(hot, 1)] if hot else whole[n]), hot / 3
+        celsius, own = (hottest, doubt_there) if count else (part, float(doubt[n]))
+        width = seen.step * float(np.sqrt((spots == spots[at]).sum())) if count else np.inf
+        delta = celsius - float(beside[n])
+        around = math.hypot(own, spread[n], _of_difference(budget, celsius, float(beside[n])))
+        normalised = None if factor is None else factor * delta
+        level = int(np.searchsorted(LIMITS_K, delta if normalised is None else normalised, "right"))
+        lost = max(share, LOSSES[level] if count else 0.0)
+        row: dict[str, Any] = {
+            "row": line_of[0], "line": line_of[1], "place": line_of[2],
+            "finding": ", ".join(filter(None, (PARTS[hot], SPOTS[min(count, 2)]))),
+            "class": 1 if not hot and not (count and level) else 3 if level == 2 else 2,
+            "celsius": float(whole[n]), "delta_k": delta, "uncertainty_k": around,
+            "delta_1000_k": normalised, "hottest_c": hottest,
+            "lost_w": None if watts is None else lost * watts,
+            "photos": int(seen.photos[n]),
+            "remark": NARROW_HOT if width < RESOLVED_PX * pixel else "",
+        }  # fmt: skip
+        if not known[n]:
+            row |= dict.fromkeys(NUMBERS) | {"finding": "", "class": 1, "remark": NO_PHOTO}
+        yield row
+
+
+def _of_difference(budget: Budget, celsius: float, beside: float) -> float:
+    """What camera and settings contribute to the uncertainty of ΔT: they are the same at both
+    places, but for the camera's unevenness."""
+    hot, cold = (
+        budget.contributions(np.array([each]), budget.capture.surface, place)
+        for place, each in enumerate((celsius, beside))
+    )
+    parts = [float(part[0]) for part in (hot[key] - cold.get(key, 0.0) for key in hot)]
+    uneven = [float(part[0]) for key, part in cold.items() if key not in hot]
+    return math.hypot(*parts, *uneven)
