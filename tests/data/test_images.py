@@ -113,9 +113,17 @@ def test_decompression_bombs_are_refused_from_the_header(tmp_path, side):
     assert limit == Image.MAX_IMAGE_PIXELS
 
 
+@pytest.fixture
+def pillow_limit():
+    """Pillow's limit, restored at the end."""
+    limit = Image.MAX_IMAGE_PIXELS
+    yield
+    Image.MAX_IMAGE_PIXELS = limit
+
+
+@pytest.mark.usefixtures("pillow_limit")
 def test_a_large_file_may_have_many_pixels(tmp_path, monkeypatch):
     """40 for each byte, and 80 million at most, unless the user says how many."""
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", Image.MAX_IMAGE_PIXELS)  # restored at the end
     photo = tmp_path / "photo.png"
     for side, filler, limit in ((8_000, 1_600_000, 80), (9_000, 3_000_000, 80), (8_000, 1e6, 40)):
         photo.write_bytes(png_header(side, side) + bytes(int(filler)))
