@@ -15,6 +15,7 @@ import pyogrio
 import pyproj
 import pytest
 import shapely
+from PIL import Image
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.export import export
@@ -121,17 +122,26 @@ def test_a_globe_has_the_map_where_it_lies(munich, tmp_path):
     left, top, _ = munich.apply(np.array([[-3.0, 2.0, 0.0]]))[0]
     grid = MapGrid(np.eye(3), 1.0, np.zeros(2), left, top, 0.05, 120, 80, (-1.0, 1.0))
     pixels = np.full((80, 120, 4), 255, np.uint8)
+    pixels[:40, :60, :3] = 0  # the north-west
     path = write_kmz(tmp_path / "ortho.kmz", pixels, grid, munich.wkt)
     with zipfile.ZipFile(path) as file:
         text = "".join(file.read(name).decode() for name in file.namelist() if ".kml" in name)
-        assert any(name.endswith(".png") for name in file.namelist())
+        pictures = [name for name in file.namelist() if name.endswith(".png")]
+        tile = np.asarray(Image.open(file.open(max(pictures, key=len))).convert("RGBA"))
     boxes = {
         side: [float(each.split("<")[0]) for each in text.split(f"<{side}>")[1:]]
         for side in ("north", "south", "east", "west")
     }
+    assert "<name>ORTHO</name>" in text  # rasterio writes options in capitals
     assert min(boxes["south"]) < 48.137 < max(boxes["north"])
     assert min(boxes["west"]) < 11.575 < max(boxes["east"])
     assert max(boxes["north"]) - min(boxes["south"]) == pytest.approx(4 / 111_200, rel=0.1)
+    degrees = 6 / (111_320 * np.cos(np.radians(48.137)))
+    assert max(boxes["east"]) - min(boxes["west"]) == pytest.approx(degrees, rel=0.1)
+    rows, columns = np.nonzero((tile[..., 3] > 0) & (tile[..., 0] == 0))
+    drawn = np.argwhere(tile[..., 3] > 0)
+    assert rows.mean() < drawn[:, 0].mean()
+    assert columns.mean() < drawn[:, 1].mean()
 
 
 @pytest.fixture(scope="module")

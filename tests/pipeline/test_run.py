@@ -502,14 +502,15 @@ def test_the_ledger_knows_every_stage(finished):
     assert [*stages] == ["prepare", *(f"fast/{name}" for name in STAGES[1:])]
 
 
-def test_poses_in_a_file_that_has_changed_are_noticed(tmp_path):
-    poses = tmp_path / "poses.json"
-    poses.write_text("{}")
-    options = PrepareOptions(poses=poses)
+@pytest.mark.parametrize("name", ["poses", "control", "thermal_camera"])
+def test_a_given_file_that_has_changed_is_noticed(tmp_path, name):
+    given = tmp_path / "given.json"
+    given.write_text("{}")
+    options = PrepareOptions(**{name: given})
     intake = take_in(photos_in(tmp_path / "photos"), options)
     job = stages_module.Job(intake, QUALITIES["fast"], options, tmp_path, "cpu", Monitor())
     (first, *_) = job.stages
     before = first.made_from()
     assert first.made_from() == before
-    poses.write_text("{ }")
+    given.write_text("{ }")
     assert first.made_from() != before

@@ -18,8 +18,8 @@ from mrgs.errors import SceneError
 from mrgs.maps.crs import coordinate_system
 from mrgs.prepare.contract import Georeference, Reconstruction, rms_m
 from mrgs.prepare.control import ControlPoint, ControlPoints, place_by_control, read_control
-from mrgs.prepare.georeference import apply, centres
-from mrgs.scene import PointCloud
+from mrgs.prepare.georeference import apply, centres, georeference
+from mrgs.scene import PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
 
 LENS = Lens(400, 300, 300.0, 300.0, 200.0, 150.0, (-0.1, 0.02, 0.0, 0.0))
@@ -174,7 +174,7 @@ def test_scale_bars_give_the_scale_alone():
     assert not placed.north
     moved = centres(apply(placed, found), wall().viewmats)
     assert np.linalg.norm(moved[0] - moved[5]) == pytest.approx(np.linalg.norm(EYES[0] - EYES[5]))
-    assert placed.text.startswith("The scale is that of 1 length.")
+    assert placed.text.startswith("The scale is that of the stated length.")
     assert placed.control == ()  # one length fits itself
 
 
@@ -272,6 +272,17 @@ def test_a_crs_that_is_elsewhere_is_refused():
         place_by_control(wall(), replace(surveyed(**moved), crs="EPSG:4326"), {})
 
 
+def test_two_points_in_one_place_give_no_scale():
+    with pytest.raises(SceneError, match="A and B are in one place"):
+        place_by_control(wall(), surveyed("AB", B=PLACES["A"]), {})
+
+
+def test_given_poses_stay_in_the_frame_of_a_survey():
+    world = WorldFrame(True, True, offset=(691_000.0, 5_334_000.0, 500.0), control_m=0.012)
+    placed = georeference(replace(wall(), world=world), {}, as_given=True)
+    assert placed.world == world
+
+
 HEADING = "name,east,north,height,view,x,y,role,crs,to,length\n"
 
 
@@ -284,7 +295,7 @@ def read(tmp_path: Path, text: str) -> ControlPoints:
 def test_a_table_of_observations(tmp_path):
     found = read(
         tmp_path,
-        f"{HEADING}# marked by hand\nP1,1.5,2,-3,v0.jpg,10,20.5\nP1,,,,V1.JPG,11,21\n"
+        f"# of June\n{HEADING}# by hand\nP1,1.5,2,-3,v0.jpg,10,20.5\nP1,,,,V1.JPG,11,21\n"
         f"K,4,5,6,v0.jpg,1,1,check,EPSG:25832\nE,,,,v2.jpg,3,3\nP1,,,,,,,,,E,2.5\n",
     )
     assert found.points["P1"] == ControlPoint(
@@ -324,7 +335,9 @@ def test_a_gcp_list(tmp_path, separator):
         ("P,1,2,inf,v0.jpg,1,1", "line 2: height is 'inf'"),
         ("P,1,2,3,v0.jpg,1,1\nP,1,2,4,v1.jpg,1,1", "line 3: P lacks a coordinate, or has others"),
         ("P,1,2,,v0.jpg,1,1", "line 2: P lacks a coordinate"),
-        ("P,1,2,3,v9.jpg,1,1", "line 2: no photo, or more than one, has the name 'v9.jpg'"),
+        ("P,1,2,3,v9.jpg,1,1", "line 2: none of the photos in use, .* has the name 'v9.jpg'"),
+        ("P,,,,,,,,,P,1", "line 2: a scale bar needs name, to and length"),
+        ("# no points yet", "it has no points; write name"),
         ("P,1,2,3,v0.jpg,401,1", "line 2: the mark is not in v0.jpg, 400×300 px"),
         ("P,1,2,3,v0.jpg,1,-1", "line 2: the mark is not in v0.jpg"),
         ("P,1,2,3,v0.jpg,1", "line 2: the mark is not in v0.jpg"),

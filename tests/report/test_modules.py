@@ -96,6 +96,21 @@ def test_without_sun_enough_nothing_is_normalised(irradiance):
     assert judged(celsius, 700.0, None)[3]["lost_w"] is None
 
 
+def test_thirds_and_neighbours_that_no_photo_shows_do_not_count():
+    celsius = seen_plant()
+    celsius[25, :, :6] = np.nan
+    celsius[25, :, 6:12] += 5.0
+    row = judged(celsius)[25]
+    assert row["class"] == 2
+    assert row["delta_k"] == pytest.approx(5.0, abs=0.5)
+    celsius = seen_plant()
+    celsius[[n for n in range(len(celsius)) if n != 30]] = np.nan
+    celsius[30, 8:12, 8:11] += 15.0
+    row = judged(celsius)[30]
+    assert (row["class"], row["delta_k"], row["finding"]) == (None, None, "")
+    assert all(value == value for each in judged(celsius) for value in each.values())
+
+
 def test_a_module_that_no_photo_shows_has_no_numbers():
     celsius = seen_plant()
     celsius[9] = np.nan

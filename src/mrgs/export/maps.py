@@ -137,6 +137,7 @@ def _write_map(
     """Write ``NAME.tif``, ``NAME.qml`` and ``NAME.png``, ``NAME.dxf`` with ``NAME_map.png``, on
     Earth ``NAME.kmz``; returns the paths."""
     grid = drawn.grid
+    shown = [each for each in features_of(job) if grid.shows(np.array(each[2].points))]
 
     def flat(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         return np.column_stack([grid.to_map(points), np.zeros(len(points))])
@@ -159,7 +160,6 @@ def _write_map(
     known = np.isfinite(drawn.celsius)
     pixels = np.dstack([scale.colorize(drawn.celsius), 255 * known.astype(np.uint8)])
     bare = write_png(job.folder / f"{name}_map.png", Image.fromarray(pixels))
-    shown = [each for each in features_of(job) if grid.shows(np.array(each[2].points))]
     paths += [bare, write_dxf(job.folder / f"{name}.dxf", shown, flat, (bare.name, grid))]
     if system.on_earth:
         paths.append(write_kmz(job.folder / f"{name}.kmz", pixels, grid, system.wkt))

@@ -108,7 +108,7 @@ def _write_layer(
             geometry_type=f"{kinds.pop()} Z" if len(kinds) == 1 else "Unknown",
             append=path.exists(), **options,
         )  # fmt: skip
-    except pyogrio.errors.DataSourceError as error:
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
         raise OSError(0, f"GDAL: {error}") from error
 
 

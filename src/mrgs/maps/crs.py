@@ -102,7 +102,8 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
             )
         matrix = np.eye(4)
         matrix[:3, 3] = world.offset or 0.0
-        return replace(LOCAL, wkt=local_wkt(scene.name), matrix=matrix)
+        name = LOCAL_NAME if world.offset is None else "the local frame of the survey, metres"
+        return replace(LOCAL, name=name, wkt=local_wkt(scene.name), matrix=matrix)
     pyproj = require_pyproj()
     crs = _utm(pyproj, world.origin) if wanted is None else _wanted(wanted, world.origin)
     code = crs.to_authority()

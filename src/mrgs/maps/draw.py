@@ -308,7 +308,7 @@ def write_geotiff(
                     file.set_band_description(number, name)
                     file.set_band_unit(number, unit)
             rasterio.shutil.copy(plain, temporary, **CLOUD_OPTIMISED)
-        except rasterio.errors.RasterioError as error:
+        except gdal_errors() as error:
             raise OSError(0, f"GDAL: {error}") from error
     return path
 
@@ -322,8 +322,9 @@ def write_kmz(path: Path, pixels: UInt8[np.ndarray, "h w 4"], grid: MapGrid, wkt
         try:
             with rasterio.open(plain, "w", dtype="uint8", count=4, **_profile(grid, wkt)) as file:
                 file.write(pixels.transpose(2, 0, 1))
-            rasterio.shutil.copy(plain, temporary, driver="KMLSUPEROVERLAY", format="PNG")
-        except rasterio.errors.RasterioError as error:
+            overlay = {"driver": "KMLSUPEROVERLAY", "format": "PNG", "name": path.stem}
+            rasterio.shutil.copy(plain, temporary, **overlay)
+        except gdal_errors() as error:
             raise OSError(0, f"GDAL: {error}") from error
     return path
 
@@ -336,6 +337,12 @@ def _profile(grid: MapGrid, wkt: str) -> dict[str, Any]:
         "driver": "GTiff", "BIGTIFF": "IF_SAFER", "width": grid.width, "height": grid.height,
         "crs": rasterio.crs.CRS.from_wkt(wkt), "transform": edges,
     }  # fmt: skip
+
+
+def gdal_errors() -> tuple[type[Exception], ...]:
+    """What rasterio raises where GDAL fails: copies raise GDAL's own."""
+    rasterio = require_rasterio()
+    return rasterio.errors.RasterioError, import_module("rasterio._err").CPLE_BaseError
 
 
 STOPS = 16

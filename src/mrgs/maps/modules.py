@@ -80,10 +80,11 @@ def find_modules(
     layers = [np.where(known, -celsius, -np.median(celsius[known] if known.any() else 0.0)), gray]
     angle = _direction(layers)
     axes = np.array([[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]])
-    reach = int(np.hypot(*known.shape) / 2 * pixel_m / step) + 4 * SIDE_PX
-    first = pixel_m / 2 * np.array([known.shape[1], -known.shape[0]]) - step * reach * axes.sum(0)
+    height, width = known.shape
+    reach = (np.abs(axes) @ (width, height) / 2 * pixel_m / step).astype(int) + 4 * SIDE_PX
+    first = pixel_m / 2 * np.array([width, -height]) - step * reach @ axes
     matrix = step / pixel_m * (axes * (1, -1)).T[::-1, ::-1]
-    offset, shape = (first * (1, -1) / pixel_m - 0.5)[::-1], (2 * reach + 1,) * 2
+    offset, shape = (first * (1, -1) / pixel_m - 0.5)[::-1], tuple(2 * reach[::-1] + 1)
     turned = [
         ndimage.affine_transform(each, matrix, offset, shape, np.float32, 1, "nearest")
         for each in layers

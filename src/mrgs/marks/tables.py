@@ -260,24 +260,24 @@ def write_features(
     RunError if the file cannot be written."""
     on_earth = world.is_georeferenced
     features = [
-        {
-            "type": "Feature",
-            "properties": facts,
-            "geometry": _geometry(mark, world if on_earth else None),
-        }
+        {"type": "Feature", "properties": facts, "geometry": _geometry(mark, world)}
         for facts, mark in found
     ]
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if not on_earth:
-        collection["coordinates"] = f"x, y, z of the scene, {world.length_unit}; not on Earth"
+        frame = "the scene" if world.offset is None else "the survey's local frame"
+        collection["coordinates"] = f"x, y, z of {frame}, {world.length_unit}; not on Earth"
     text = json.dumps(collection, indent=1, ensure_ascii=False, allow_nan=False)
     return write_text(path, text + "\n")
 
 
-def _geometry(mark: Mark, world: WorldFrame | None) -> dict[str, Any]:
-    """A mark in longitude, latitude and height, or in the scene's own x, y, z without a world."""
+def _geometry(mark: Mark, world: WorldFrame) -> dict[str, Any]:
+    """A mark in longitude, latitude and height, or else in the survey's local frame or the scene's
+    own."""
     places = [list(point) for point in mark.points]
-    if world is not None and world.origin is not None:
+    if world.offset is not None:
+        places = [np.add(point, world.offset).tolist() for point in mark.points]
+    elif world.is_georeferenced and world.origin is not None:
         found = [geodetic(np.array(point), world.origin) for point in mark.points]
         places = [
             [round(e.longitude_deg, 9), round(e.latitude_deg, 9), e.altitude_m or 0.0]

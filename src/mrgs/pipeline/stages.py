@@ -109,7 +109,7 @@ class Job:
         if self.intake.kind == "scene":
             return fingerprint(self._scene_contents(), options)
         # Only ``prepare`` reads the photos: where nothing has changed it takes no time.
-        given = [options.pair_table, options.thermal_camera, options.poses]
+        given = [options.pair_table, options.thermal_camera, options.poses, options.control]
         files = [digest(path) for path in given if path is not None and path.is_file()]
         folder = options.poses
         poses = stamps(folder) if folder is not None and folder.is_dir() else ()

@@ -178,10 +178,12 @@ class Georeference:
         north: whether the new axes are east, north, up.
         origin: position of the new origin on Earth; None if not known.
         residual_m: median distance of the cameras from their GPS positions; None without GPS.
-        scale_error: standard uncertainty of the scale, as a share; None where it is not from GPS.
+        scale_error: standard uncertainty of the scale, as a share; None where neither GPS nor
+            control points give it.
         text: one or two sentences for the user.
         offset: of the new origin in the control points' local frame, metres; None if they agree.
         control: what control points, check points and stated lengths are off.
+        control_m: the same of given poses, see ``WorldFrame``.
     """
 
     scale: float
@@ -196,6 +198,7 @@ class Georeference:
     scale_error: float | None = None
     offset: tuple[float, float, float] | None = None
     control: tuple[ControlResidual, ...] = ()
+    control_m: float | None = None
 
     @property
     def world(self) -> WorldFrame:
@@ -204,7 +207,7 @@ class Georeference:
         if place is not None:
             origin = EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
         roles = ("check", "control", "length")
-        off_m = next(filter(None, (rms_m(self.control, role) for role in roles)), None)
+        off_m = next(filter(None, (rms_m(self.control, role) for role in roles)), self.control_m)
         known = self.residual_m, self.scale_error, self.offset, off_m
         return WorldFrame(self.metric, self.north, origin, *known)
 

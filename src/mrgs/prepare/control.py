@@ -95,15 +95,19 @@ def read_control(file: Path, photos: Photos) -> ControlPoints:
             utm = r"(?i)^WGS ?84 UTM (\d+)([NS])$"
             control.crs = re.sub(utm, r"WGS 84 / UTM zone \1\2", " ".join(cells))
             columns = _GCP_LIST
+        elif cells[0].startswith("#"):
+            continue
         elif not columns:
             columns = tuple(cell.lower() for cell in cells)
             if "name" not in columns:
                 raise scene_error(file, f"the first line names no columns; {_EXAMPLE}")
-        elif not cells[0].startswith("#"):
+        else:
             try:
                 _add(dict(zip(columns, cells, strict=False)), control, photos)
             except ValueError as problem:
                 raise scene_error(file, f"line {number}: {problem}") from None
+    if not control.points:
+        raise scene_error(file, f"it has no points; {_EXAMPLE}")
     ends = {name for *both, _ in control.bars for name in both}
     for name in sorted(ends | control.points.keys()):
         if name not in control.points:
@@ -129,7 +133,7 @@ def _add(cells: dict[str, str], control: ControlPoints, photos: Photos) -> None:
         raise ValueError(f"the CRS is {row.crs}, and {control.crs} above; give all points in one")
     control.crs = row.crs or control.crs
     if row.to or row.length is not None:
-        if not (row.name and row.to) or row.length is None:
+        if row.name in ("", row.to) or not row.to or row.length is None:
             raise ValueError("a scale bar needs name, to and length: two points and metres")
         control.bars.append((row.name, row.to, row.length))
         return
@@ -143,8 +147,8 @@ def _add(cells: dict[str, str], control: ControlPoints, photos: Photos) -> None:
     if not row.view:
         return
     if (photo := photos.get(composed(row.view.replace("\\", "/")).lower())) is None:
-        problem = f"no photo, or more than one, has the name {shown(row.view)}"
-        raise ValueError(f"{problem}; correct it, or give its path")
+        problem = f"none of the photos in use, or more than one, has the name {shown(row.view)}"
+        raise ValueError(f"{problem}; correct it, give its path, or delete the line")
     view, (width, height) = photo
     if row.x is None or row.y is None or not (0 <= row.x <= width and 0 <= row.y <= height):
         raise ValueError(f"the mark is not in {row.view}, {width}×{height} px; correct x and y")
@@ -186,12 +190,16 @@ def place_by_control(
         if not bars:
             usable = f"{counted(len(fitted), 'control point')} can be used; mark {MIN_POINTS}"
             raise _error(" ".join((f"{usable}, each in two photos.", *warnings)))
-        lengths = [np.linalg.norm(seen[a].place - seen[b].place) for a, b, _ in bars]
+        lengths = [float(np.linalg.norm(seen[a].place - seen[b].place)) for a, b, _ in bars]
+        for (a, b, metres), length in zip(bars, lengths, strict=True):
+            if not metres * length > 0:
+                raise _error(f"{a} and {b} are in one place; correct their coordinates or marks")
         scale = float(np.dot([bar[2] for bar in bars], lengths) / np.dot(lengths, lengths))
         placed = georeference(found, gps, scale, as_given=as_given)
         off = _residuals(bars, seen, Similarity(scale, np.eye(3), np.zeros(3)))[-len(bars) :]
         off = off if len(bars) > 1 else ()  # one length fits itself
-        text = placed.text.replace(KNOWN, f"The scale is that of {counted(len(bars), 'length')}.")
+        stated = "the stated length" if len(bars) == 1 else f"{len(bars)} stated lengths"
+        text = placed.text.replace(KNOWN, f"The scale is that of {stated}.")
         warnings += placed.warnings
         return found, replace(placed, text=f"{text}{_rms(off)}", warnings=warnings, control=off)
     similarity = _fit([*fitted], np.array([seen[name].place for name in fitted]), target, found)
@@ -267,7 +275,8 @@ def _seen(
         if place is None or errors_px is None or angle_deg < LEAST_ANGLE_DEG:
             warnings.append(f"{name} is not used: mark it in two photos, from different places.")
         elif errors_px.max() > LARGEST_ERROR * found.lenses[next(iter(marks))].width:
-            worst = f"that in {[*marks][int(errors_px.argmax())]} is {errors_px.max():.0f} px off"
+            off = f"{errors_px.max():.0f} px off" if np.isfinite(errors_px).all() else "behind it"
+            worst = f"that in {[*marks][int(errors_px.argmax())]} is {off}"
             raise _error(f"the marks of {name} do not meet: {worst}; correct it")
         else:
             rms_px = float(np.sqrt(np.mean(errors_px**2)))

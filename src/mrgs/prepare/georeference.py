@@ -83,7 +83,8 @@ def georeference(
     if as_given and level.rotation[2, 2] > _UPRIGHT:
         level = Similarity(1.0, np.eye(3), np.zeros(3))
     positions = {name: gps[name] for name in sorted(gps) if name in reconstruction.viewmats}
-    if as_given and reconstruction.world.is_georeferenced:
+    given = reconstruction.world
+    if as_given and (given.is_georeferenced or given.offset is not None):
         return _as_given(reconstruction.world, scale)
     warnings: tuple[str, ...] = ()
     if positions:
@@ -145,6 +146,8 @@ def _as_given(
         text=f"{metres if scale is None else KNOWN} {axes}{', with north' * world.north}.",
         warnings=warnings,
         scale_error=world.scale_error if scale is None else None,
+        offset=world.offset,
+        control_m=world.control_m if scale is None else None,
     )
 
 

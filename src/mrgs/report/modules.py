@@ -6,6 +6,7 @@ from __future__ import annotations
 import datetime
 import math
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from mrgs.pictures.files import write_png
 from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.numbers import number_text
 from mrgs.report.overview import Style, TemperatureMap, faces_one_side, has_map
+from mrgs.report.sections import LEAST_W_M2, MOST_PIXEL_CM
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.baked import bake
 from mrgs.runs.open import Run
@@ -43,8 +45,8 @@ Values: TypeAlias = Float64[np.ndarray, " m"]
 SIZES_M, POWERS_W = (0.3, 3.0), (1.0, 2000.0)
 """What modules may have."""
 
-NOMINAL_W_M2, LEAST_W_M2 = 1000.0, 600.0
-"""Irradiance to which ΔT is normalised, and from which on that is meaningful."""
+NOMINAL_W_M2 = 1000.0
+"""Irradiance to which ΔT is normalised."""
 
 FINEST, COARSEST = 1 / 40, 1 / 8
 """Pixels of the map and of the photos, as shares of a module's shorter side."""
@@ -123,7 +125,9 @@ class ModuleTable:
             t=t,
             table=self,
             notes=[t(note) for note in self.notes],
-            counts=np.bincount([row["class"] for row in self.rows], minlength=4).tolist(),
+            counts=Counter(row["class"] for row in self.rows),
+            least_w_m2=LEAST_W_M2,
+            most_pixel_m=MOST_PIXEL_CM / 100,
             figure=inline_image(picture, t("modules with findings"), png=True),
             listed=[facts[n] for n in found],
             number=lambda value, sign=False, decimals=1: (
@@ -261,10 +265,11 @@ def _beside(whole: Values, numbers: Int64[np.ndarray, "m 3"]) -> tuple[Values, V
     of 95 of 100 of them; where there are few, of the row, and of the plant."""
     found = np.empty((2, len(whole)))
     for n, (row, _, place) in enumerate(numbers):
-        others = np.arange(len(whole)) != n
+        others = np.isfinite(whole) & (np.arange(len(whole)) != n)
         in_row = others & (numbers[:, 0] == row)
         near = in_row & (np.abs(numbers[:, 2] - place) <= BESIDE)
-        values = whole[next(each for each in (near, in_row, others) if each.sum() > 3)]
+        chosen = next((each for each in (near, in_row) if each.sum() > 3), others)
+        values = whole[chosen]
         found[0, n] = np.nanmedian(values)
         found[1, n] = COVERAGE * np.nanmedian(np.abs(values - found[0, n])) / 0.6745
     return found[0], found[1]
@@ -300,13 +305,15 @@ def _judged(
         hottest, doubt_there = float(usual[n, 0, at[1]] + cell), float(seen.around[n][at])
         hot = int((thirds[n] - beside[n] >= LEAST_PART_K).sum())
         spots, count = ndimage.label(smooth[n] > max(LEAST_CELL_K, cell / 2))
-        part, share = float(np.sort(thirds[n])[-max(hot, 1)] if hot else whole[n]), hot / 3
+        warmest = np.sort(thirds[n][np.isfinite(thirds[n])])[::-1]
+        part, share = float(warmest[hot - 1] if hot else whole[n]), hot / 3
         celsius, own = (hottest, doubt_there) if count else (part, float(doubt[n]))
         width = seen.step * float(np.sqrt((spots == spots[at]).sum())) if count else np.inf
         delta = celsius - float(beside[n])
         around = math.hypot(own, spread[n], _of_difference(budget, celsius, float(beside[n])))
         normalised = None if factor is None else factor * delta
-        level = int(np.searchsorted(LIMITS_K, delta if normalised is None else normalised, "right"))
+        judged = delta if normalised is None else normalised
+        level = int(np.searchsorted(LIMITS_K, np.nan_to_num(judged), "right"))
         lost = max(share, LOSSES[level] if count else 0.0)
         row: dict[str, Any] = {
             "row": line_of[0], "line": line_of[1], "place": line_of[2],
@@ -318,9 +325,9 @@ def _judged(
             "photos": int(seen.photos[n]),
             "remark": NARROW_HOT if width < RESOLVED_PX * pixel else "",
         }  # fmt: skip
-        if not known[n]:
-            row |= dict.fromkeys(NUMBERS) | {"finding": "", "class": 1, "remark": NO_PHOTO}
-        yield row
+        if not known[n] or math.isnan(delta):
+            row |= dict.fromkeys(NUMBERS) | {"finding": "", "class": None, "remark": NO_PHOTO}
+        yield {name: None if value != value else value for name, value in row.items()}
 
 
 def _of_difference(budget: Budget, celsius: float, beside: float) -> float:

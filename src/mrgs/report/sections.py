@@ -63,6 +63,9 @@ def contents_of(run: Run, scene: Scene, survey: Survey, t: Texts, appendix: bool
 
 
 LEAST_DIFFERENCE_K = 10.0
+LEAST_W_M2 = 600.0
+"""Irradiance from which on ΔT of solar modules is meaningful."""
+
 MOST_PIXEL_CM = 3.0
 """Widest pixel on solar modules, cm: a cell then spans about five."""
 
@@ -111,7 +114,7 @@ _BUILDING = (
     ("hours_without_sun", "at least 2 h", 2.0, math.inf),
 )
 _PLANT = (
-    ("irradiance_w_m2", "at least 600 W/m²", 600.0, math.inf),
+    ("irradiance_w_m2", "at least 600 W/m²", LEAST_W_M2, math.inf),
     ("wind_m_s", "at most 7.8 m/s (4 Beaufort)", -math.inf, 7.8),
     ("cloud_eighths", "at most 2 eighths of the sky", -math.inf, 2.0),
 )

@@ -90,6 +90,7 @@ def reconstruct(
         focal_widths = focal_length(1.0, math.radians(field_of_view_deg))
     set_up(folder, images, modality == THERMAL, progress, positions, focal_widths)
     check_version(installed_version())
+    remove(folder / CONTROL_FILE)  # of a call that was killed
     run_colmap(folder, progress)
     return read_result(folder, modality)
 
