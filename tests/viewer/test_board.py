@@ -139,7 +139,7 @@ def test_a_broken_survey_is_a_problem_and_no_reason_not_to_open(board, disk, add
     add()
     survey = disk.folder / SURVEY_FILE
     survey.write_text("camera_accuracy_c: a lot")
-    opened = MarkBoard(disk, board.picker, board._appraise)
+    opened = MarkBoard(disk, board._instruments)
     opened.refresh()
     assert "camera_accuracy_c" in opened.problems[0]
     survey.unlink()

@@ -453,7 +453,7 @@ def test_a_drive_that_does_not_answer_stops_no_browser(subject, camera):
 
     board = subject.board
     store = StoreOnDrive(board._store.folder, board._store._spread)
-    subject = replace(subject, board=MarkBoard(store, board.picker))
+    subject = replace(subject, board=MarkBoard(store, board._instruments))
     viewer = Viewer(subject, start_at(camera, subject.scene), "127.0.0.1", 0)
     try:
         browse(viewer, visit)

@@ -366,10 +366,11 @@ def _stated_survey(command: commands.Report) -> Survey | None:
 
 def _cropped_as_stated(run: Run, command: commands.Report, stated: Survey | None) -> Run:
     """The run in the box that the options state, or else in that of the survey in its folder."""
-    sets_box = command.survey is not None or any(each.startswith("crop=") for each in command.set)
+    sets_box = command.survey is not None or any(each.startswith("crop") for each in command.set)
     if stated is None or not sets_box:
         return cropped(run)
-    return run if stated.crop is None else cropped(run, stated.crop)
+    whole = stated.crop is None and stated.crop_outlines is None
+    return run if whole else cropped(run, stated.crop, stated.crop_outlines)
 
 
 def _keep_survey(folder: Path, stated: Survey | None) -> None:

@@ -4,22 +4,30 @@ client, weather, conditions. Kept as ``survey.yaml`` in the run's folder."""
 from __future__ import annotations
 
 import datetime
+import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
 import yaml
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.system.atomic import write_text
+from mrgs.system.atomic import locked, write_text
 from mrgs.system.disk import read_text
 from mrgs.system.strict_yaml import convert, parse_yaml, read_yaml
 from mrgs.system.wording import shown
 
-SURVEY_FILE = "survey.yaml"
+SURVEY_FILE, CROP_UNDO_FILE, LOCK_FILE = "survey.yaml", "crop.undo.json", ".survey.lock"
+STEPS_KEPT = 50
 LONGEST_TEXT = 2_000
+
+Corners: TypeAlias = tuple[float, float, float, float, float, float]
+Outlines: TypeAlias = tuple[tuple[tuple[float, float], ...], ...]
+CropStates: TypeAlias = tuple[tuple[Corners | None, Outlines | None], ...]
+"""What has been kept, one after the other: ``crop`` and ``crop_outlines``."""
 
 Standard = Literal["EN 13187", "ISO 6781-3", "IEC TS 62446-3"]
 Side = Literal["inside", "outside"]
@@ -57,6 +65,7 @@ class Survey:
         logo: picture for the report's cover; its path, from the survey's folder if it is relative.
         scale_low_c: with ``scale_high_c``, the ends of the palette in all pictures and on the page.
         crop: x, y, z of two opposite corners of the box to which the model is cropped.
+        crop_outlines: of polygons, seen from above, to what is within all of which it is cropped.
     """
 
     title: str | None = _stated()
@@ -105,7 +114,8 @@ class Survey:
     scale_low_c: float | None = _stated(unit="°C", low=-273, high=5000)
     scale_high_c: float | None = _stated(unit="°C", low=-273, high=5000)
     photos_in_page: bool | None = _stated(high=1)
-    crop: tuple[float, float, float, float, float, float] | None = _stated()
+    crop: Corners | None = _stated()  # noqa: RUF009 - a field
+    crop_outlines: Outlines | None = _stated()  # noqa: RUF009 - a field
     statement: str | None = _stated()
     remarks: str | None = _stated("Remarks")
 
@@ -206,3 +216,39 @@ def write_survey(path: Path, survey: Survey) -> Path:
             line = yaml.safe_dump({name: stated[name]}, default_flow_style=flow, allow_unicode=True)
         lines.append(line.rstrip())
     return write_text(path, "\n".join(lines) + "\n")
+
+
+def keep_crop(folder: Path, crop: Corners | None, outlines: Outlines | None = None) -> None:
+    """Write another crop into the survey of a run's folder, and the one before into the file for
+    ``undo_crop``. Errors as for ``read_survey``; RunError also if a file cannot be written."""
+    with locked(folder / LOCK_FILE, folder / SURVEY_FILE):
+        survey = read_survey(folder / SURVEY_FILE)
+        before = survey.crop, survey.crop_outlines
+        if (crop, outlines) != before:
+            states = [*_earlier_crops(folder), before][-STEPS_KEPT:]
+            write_text(folder / CROP_UNDO_FILE, json.dumps(states) + "\n")
+            changed = replace(survey, crop=crop, crop_outlines=outlines)
+            write_survey(folder / SURVEY_FILE, changed)
+
+
+def undo_crop(folder: Path) -> None:
+    """Write the crop before the last ``keep_crop`` into the survey of a run's folder; errors as for
+    that, and ConfigError if there is none."""
+    with locked(folder / LOCK_FILE, folder / SURVEY_FILE):
+        survey, states = read_survey(folder / SURVEY_FILE), list(_earlier_crops(folder))
+        while states and states[-1] == (survey.crop, survey.crop_outlines):  # was cut off
+            states.pop()
+        if not states:
+            raise ConfigError("there is nothing to undo: what is kept has not been changed")
+        crop, outlines = states.pop()
+        write_survey(folder / SURVEY_FILE, replace(survey, crop=crop, crop_outlines=outlines))
+        write_text(folder / CROP_UNDO_FILE, json.dumps(states) + "\n")
+
+
+def _earlier_crops(folder: Path) -> CropStates:
+    """The states that can be brought back, the oldest first; none from a damaged file."""
+    path = folder / CROP_UNDO_FILE
+    with suppress(OSError, ValueError, RecursionError, ConfigError):
+        states: CropStates = convert(CropStates, json.loads(read_text(path)), str(path))
+        return states
+    return ()

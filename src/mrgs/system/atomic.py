@@ -11,9 +11,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from filelock import FileLock, Timeout
 from safetensors import SafetensorError
 
-from mrgs.errors import WriteError
+from mrgs.errors import RunError, WriteError
 
 try:
     import fcntl
@@ -24,6 +25,8 @@ TEMPORARY = ".mrgs-"
 """How the names of temporary folders begin; a file is written in one and then moved."""
 
 _LONGEST_SUFFIX = 16
+
+PATIENCE_S = 10.0
 
 _swept: set[Path] = set()
 """Folders whose abandoned files this process has removed."""
@@ -78,6 +81,24 @@ def require_folder(folder: Path) -> None:
             f"the folder {folder} is gone: nothing can be saved until it is back; reconnect its "
             f"drive, or move it back"
         )
+
+
+@contextmanager
+def locked(lock_file: Path, kept: Path) -> Iterator[None]:
+    """One change of a file ``kept`` in this folder at a time, whatever process makes it. RunError
+    if another one takes too long; WriteError if the folder is gone or cannot be written."""
+    require_folder(lock_file.parent)  # the lock would make the folder again
+    lock = FileLock(lock_file)
+    try:
+        lock.acquire(timeout=PATIENCE_S)
+    except Timeout:
+        raise RunError(f"another process keeps {kept} locked: end it, then try again") from None
+    except OSError as error:
+        raise write_error(kept, error) from error
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def remove(path: Path) -> None:

@@ -20,9 +20,11 @@ from mrgs.marks.store import MarkStore, file_stamp
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.scene import Camera
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
+from mrgs.viewer.keeping import Keeping
 
 Listener = Callable[[], None]
 Appraiser = Callable[[Survey], UncertaintyMeter]
+Instruments = tuple[MarkPicker, Appraiser | None]
 
 
 class MarkNumbers:
@@ -58,8 +60,10 @@ class MarkBoard:
     see ``Worker``.
 
     Args:
-        picker: finds the surface that marks are drawn on; has the meter that measures them.
-        appraise: the uncertainty of the temperatures by what the survey states; None if unknown.
+        instruments: make what finds the surface that marks are drawn on, with the meter that
+            measures them, and what finds the uncertainty of the temperatures by what the survey
+            states, None if unknown; for the model as it is shown.
+        keeping: follows the survey; None for a model that is shown as it is.
 
     Attributes:
         numbers: of each; it stays the same when a mark is renamed.
@@ -69,19 +73,21 @@ class MarkBoard:
     """
 
     def __init__(
-        self, store: MarkStore, picker: MarkPicker, appraise: Appraiser | None = None
+        self,
+        store: MarkStore,
+        instruments: Callable[[], Instruments],
+        keeping: Keeping | None = None,
     ) -> None:
         self.marks = Marks()
         self.numbers: list[int] = []
         self.readings: list[MarkReading] = []
         self.proposals: list[MarkReading] = []
-        self.regions: Regions = picker.meter.regions(self.marks)
+        self._instruments, self._keeping = instruments, keeping
+        self._use_instruments()
+        self.regions: Regions = self._meter.regions(self.marks)
         self.problems: tuple[str, ...] = ()
         self.is_measuring = False
         self._store = store
-        self.picker = picker
-        self._meter = picker.meter
-        self._appraise = appraise
         self._identities = MarkNumbers()
         self._files: object = None
         self._listeners: tuple[Listener, ...] = ()
@@ -156,6 +162,14 @@ class MarkBoard:
             for listener in self._listeners:
                 listener()
 
+    def show_kept(self) -> None:
+        """Notify of what is to be shown now; the next ``refresh`` measures in it. Errors as for
+        ``read_survey``."""
+        self._use_survey(read_survey(self._store.folder / SURVEY_FILE))
+        self._files, self._measured = None, (Marks(), Survey())
+        for listener in self._listeners:
+            listener()
+
     def change(self, number: int, fields: dict[str, Any]) -> None:
         """Change fields of the mark of a number; errors as for ``edit``."""
         self.edit(lambda marks: marks.changing(self._name(marks, number), **fields))
@@ -216,7 +230,18 @@ class MarkBoard:
         return there, self._store.stamp, file_stamp(folder / SURVEY_FILE)
 
     def _use_survey(self, survey: Survey) -> None:
-        """Take uncertainties from what a survey states."""
+        """Show what a survey keeps, and take uncertainties from what it states. ConfigError if it
+        keeps nothing."""
+        if self._keeping is not None:
+            self._keeping.follow(survey)
+            if self._keeping.shown is not self._shown:
+                self._use_instruments()
         if self._appraise is not None:
             self._meter.uncertainty = self._appraise(survey)
         self.survey = survey
+
+    def _use_instruments(self) -> None:
+        """Measure in the model as it is shown now."""
+        self._shown = None if self._keeping is None else self._keeping.shown
+        self.picker, self._appraise = self._instruments()
+        self._meter = self.picker.meter

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -80,7 +80,9 @@ class Browser:
             message = decode(data)
             # A mark that a change is about has its refusal beside it in the list.
             mark = getattr(message, "mark", None)
-            number = mark if isinstance(mark, int) else None
+            number = (
+                "keep" if isinstance(message, Keep) else mark if isinstance(mark, int) else None
+            )
             if message.job == CHANGE:
                 now_s, changed_s = time.monotonic(), self._changed_s
                 if len(changed_s) == MOST_CHANGES and now_s - changed_s[0] < CHANGES_S:
@@ -105,9 +107,9 @@ class Browser:
         if self.subject.board is not None:
             self.subject.board.unsubscribe(self._send_marks)
 
-    def enqueue(self, name: str, job: Callable[[], None], mark: int | None = None) -> None:
+    def enqueue(self, name: str, job: Callable[[], None], mark: int | str | None = None) -> None:
         """Let the worker run a job in place of a waiting one of this name, but for changes of
-        marks. Errors are sent to the page: of a change with the number of its mark."""
+        marks. Errors are sent to the page: of a change with the number of its mark, or "keep"."""
 
         def contained() -> None:
             try:
@@ -184,6 +186,8 @@ class Browser:
             self.send("measuring")
             return
         self.send("marks", **facts.marks_facts(self.board, self.subject))
+        if self.subject.keeping is not None:
+            self.send("kept", **facts.kept_facts(self.subject.keeping.shown))
         self.send("changed")  # the page then asks for a picture: it knows where its camera is
 
     def send_keyframes(self) -> None:
@@ -399,6 +403,29 @@ class Undo(BrowserMessage, tag="undo"):
         browser.board.undo()
 
 
+class Keep(BrowserMessage, tag="keep"):
+    """Keep a part of the model: around what is drawn at places of the picture, as ``AddMark``;
+    between other ``sides``, as of ``Box.between``; all of it; or what was kept before."""
+
+    job = CHANGE
+    kind: Literal["box", "polygon", "sides", "all", "undo"]
+    points: Corners = ()
+    sides: tuple[Number, Number, Number, Number, Number, Number] | None = None
+
+    def _act(self, browser: Browser) -> None:
+        keeping = browser.subject.kept
+        match self.kind:
+            case "undo":
+                keeping.undo()
+            case "all":
+                keeping.keep(None)
+            case "sides" if self.sides is not None:
+                keeping.keep_between(self.sides)
+            case "box" | "polygon" as kind:
+                browser.inspection.keep(kind, self.points)
+        browser.board.show_kept()
+
+
 class GoToPhoto(BrowserMessage, tag="photo"):
     """Choose the captured view that the modes with photos show, by its index."""
 
@@ -469,7 +496,7 @@ class RenderVideo(BrowserMessage, tag="video"):
 
 AnyMessage: TypeAlias = (
     Look | Choose | Hover | ReadPoint | GoToPhoto | FitScales
-    | AddMark | ChangeMark | DeleteMark | Judge | ReferTo | Undo
+    | AddMark | ChangeMark | DeleteMark | Judge | ReferTo | Undo | Keep
     | TakeScreenshot | AddKeyframe | ClearPath | SavePath | RenderVideo
 )  # fmt: skip
 

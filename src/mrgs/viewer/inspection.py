@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
+import torch
 from jaxtyping import Float, UInt8
 
 from mrgs.errors import ConfigError
@@ -33,6 +35,9 @@ from mrgs.viewer.panes import (
 from mrgs.viewer.settings import Settings, Subject
 
 PHOTOS_KEPT = 4
+
+BOX_STEPS = 300
+"""Places across a box that is drawn, at which its surface is looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,18 +169,54 @@ class Inspection:
         board = self.subject.board
         if board is None:
             raise ConfigError("marks need the scene: open the run with it")
+        pane, places = self._places(kind, points)
+        camera = pane.own_camera
+        pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
+        picked = board.picker.pick(kind, camera, pixels)
+        board.edit(lambda marks: marks.adding(kind, **picked))
+        self.point = None
+
+    def keep(self, kind: Literal["box", "polygon"], points: Sequence[tuple[float, float]]) -> None:
+        """Keep of what is shown a box around the surface in the latest picture between two opposite
+        corners, or all above, below and within an outline through places, from 0 to 1; and save
+        that. Corners without a surface are as deep as most of it. ConfigError as for ``add_mark``,
+        or if there is no surface; errors as for ``Keeping.keep``."""
+        pane, places = self._places(kind, points)
+        assert self.drawn is not None
+        depth = self.drawn.images[self.drawn.panes.index(pane)].depth
+        if depth is None:
+            raise ConfigError("this picture has no depths: draw over the model")
+        camera = pane.camera.resized(*depth.shape[::-1])
+        if self._ball is not None:
+            depth = self._ball.without_background(camera, torch.from_numpy(depth)).numpy()
+        pixels = np.array([place.pixel_in(depth) for place in places])
+        if kind == "box":
+            across = np.linspace(pixels[0], pixels[1], BOX_STEPS).astype(int)
+            pixels = np.stack(np.meshgrid(*across.T), axis=-1).reshape(-1, 2)
+        z = depth[pixels[:, 1], pixels[:, 0]]
+        surface = z if kind == "box" else depth
+        surface = surface[np.isfinite(surface)]
+        if not surface.size:
+            raise ConfigError("no surface is seen there: draw over the model")
+        if kind == "box":
+            pixels, z = pixels[np.isfinite(z)], surface
+        z = np.where(np.isfinite(z), z, np.median(surface))
+        found = camera.unproject(pixels + 0.5, z).double().numpy()
+        keeping = self.subject.kept
+        keeping.keep_around(found) if kind == "box" else keeping.keep_over(found)
+
+    def _places(
+        self, kind: MarkKind, points: Sequence[tuple[float, float]]
+    ) -> tuple[Pane, list[Place]]:
+        """What is drawn in the latest picture, and in which pane; ConfigError if not in one."""
         if kind == "box" and len(points) != 2:
             raise ConfigError("draw a box from one corner to the opposite one")
         found = [] if self.drawn is None else [self.drawn.place(x, y) for x, y in points]
         places = [place for place in found if place is not None]
         pane = places[0].pane if places else None
         if pane is None or len(places) < len(points) or any(p.pane is not pane for p in places):
-            raise ConfigError("draw the mark within one picture")
-        camera = pane.own_camera
-        pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
-        picked = board.picker.pick(kind, camera, pixels)
-        board.edit(lambda marks: marks.adding(kind, **picked))
-        self.point = None
+            raise ConfigError("draw it within one picture")
+        return pane, places
 
     def _images(self, pane: Pane, moving: bool) -> PaneImages:
         subject = self.subject

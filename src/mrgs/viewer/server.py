@@ -30,7 +30,8 @@ from mrgs.scene import THERMAL, Camera, CameraResponse, Rendering, Scene
 from mrgs.scene.depth_map import before_background
 from mrgs.scene.preview import best_view
 from mrgs.training import StepStatistics, TrainConfig
-from mrgs.viewer.board import Appraiser, MarkBoard
+from mrgs.viewer.board import Appraiser, Instruments, MarkBoard
+from mrgs.viewer.keeping import Keeping
 from mrgs.viewer.panes import PaneImages, UncertaintyPictures, render_surface
 from mrgs.viewer.settings import Subject, shown_modalities
 from mrgs.viewer.source import LiveSource, TrainedSource
@@ -186,15 +187,17 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
             f"Still training: this is the checkpoint of {step}. Open the run again for a newer one."
         )
         warn_user(f"{run.folder.path} is still training: showing its checkpoint of {step}")
+    source = TrainedSource(run.model)
     subject = Subject(
         title_of(run.folder.path, Path(run.facts.scene).name if scene is None else scene.name),
-        TrainedSource(run.model),
+        source,
         shown_modalities(run.model, scene),
         run.temperature,
         scene,
         run.folder.path,
         note,
         run.camera_response,
+        keeping=Keeping(run, source),
     )
     board = board_of(subject, CameraSpread.of_run(run))
     subject = replace(subject, board=board, uncertainty=uncertainty_of(subject, board))
@@ -213,6 +216,12 @@ def title_of(folder: Path, scene: str) -> str:
 
 def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
     """The marks in a run's folder, measured in the model that is shown."""
+    store = MarkStore(subject.folder, spread)
+    return MarkBoard(store, partial(instruments_of, subject), subject.keeping)
+
+
+def instruments_of(subject: Subject) -> Instruments:
+    """What finds and measures marks in the model that is shown now."""
 
     def draw(camera: Camera) -> Rendering:
         return subject.source.run(lambda model: render_surface(model, camera, subject))
@@ -225,13 +234,12 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         CaptureSettings.of(subject.scene),
         changes=changes,
     )
-    picker = MarkPicker(meter, subject.scene, by_photos=not changes)
     appraise: Appraiser | None = None
     scene, temperature = subject.scene, subject.temperature
     if scene is not None and not changes:
         readings = PhotoReadings(draw, subject.camera_response, scene.train, temperature)
         appraise = partial(UncertaintyMeter.of, readings, scene, temperature)
-    return MarkBoard(MarkStore(subject.folder, spread), picker, appraise)
+    return MarkPicker(meter, scene, by_photos=not changes), appraise
 
 
 def uncertainty_of(subject: Subject, board: MarkBoard) -> Callable[[Camera], PaneImages] | None:

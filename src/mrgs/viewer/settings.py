@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from mrgs.errors import ConfigError
 from mrgs.pictures.page_data import starting_limits
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.values import capitalised, format_value
@@ -25,6 +26,7 @@ from mrgs.scene import (
     metric_first,
 )
 from mrgs.viewer.board import MarkBoard
+from mrgs.viewer.keeping import Keeping
 from mrgs.viewer.source import Source
 
 Kind = Literal[
@@ -111,6 +113,7 @@ class Subject:
         camera_response: what the captured cameras do to the images; applied where the model is
             compared with photos.
         board: the marks of the run; None where they cannot be kept.
+        keeping: what of the run is shown; None while it is trained.
         uncertainty: that of the temperatures as ``PaneImages`` of a camera; None where it is not
             known.
     """
@@ -124,7 +127,15 @@ class Subject:
     note: str = ""
     camera_response: CameraResponse = ideal_cameras
     board: MarkBoard | None = None
+    keeping: Keeping | None = None
     uncertainty: Callable[[Camera], Any] | None = None
+
+    @property
+    def kept(self) -> Keeping:
+        """What of the run is shown. ConfigError while it is trained."""
+        if self.keeping is None:
+            raise ConfigError("the model is being trained: keep a part of it when that has ended")
+        return self.keeping
 
     @property
     def scaled(self) -> Modality | None:
