@@ -369,8 +369,7 @@ def _cropped_as_stated(run: Run, command: commands.Report, stated: Survey | None
     sets_box = command.survey is not None or any(each.startswith("crop") for each in command.set)
     if stated is None or not sets_box:
         return cropped(run)
-    whole = stated.crop is None and stated.crop_outlines is None
-    return run if whole else cropped(run, stated.crop, stated.crop_outlines)
+    return cropped(run, *stated.kept) if any(stated.kept) else run
 
 
 def _keep_survey(folder: Path, stated: Survey | None) -> None:

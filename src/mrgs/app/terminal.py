@@ -118,13 +118,12 @@ def note_unfinished(run: Run) -> None:
         )
 
 
-def cropped(run: Run, corners: Corners | None = None, outlines: Outlines | None = None) -> Run:
-    """The run without what is outside a box between two corners, x, y, z each, and outlines, by
-    default outside those in its survey; says how much that is. ConfigError as for ``Run.cropped``.
-    """
+def cropped(run: Run, crop: Corners | None = None, outlines: Outlines | None = None) -> Run:
+    """The run without what is outside a box between two corners, and outlines, by default those in
+    its survey; says how much that is. ConfigError as for ``Run.cropped``."""
     from mrgs.survey import Survey
 
-    found = run.cropped(run.box_in(Survey(crop=corners, crop_outlines=outlines)))
+    found = run.cropped(run.box_in(Survey(crop=crop, crop_outlines=outlines)))
     if found.crop is not None:
         print_note(f"{found.left_out:,} Gaussians are left out: not in the box {found.crop}")
     return found

@@ -25,7 +25,7 @@ from mrgs.runs.registry import Method, find_method
 from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import NOT_COARSER, Box, Camera, Modality, Rendering, Scene
 from mrgs.scene.view import moved_view
-from mrgs.survey import SURVEY_FILE, Survey, keep_crop, read_survey, undo_crop
+from mrgs.survey import SURVEY_FILE, Survey, keep_crop, read_survey
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.threads import will_compute
@@ -138,28 +138,23 @@ class Run(TrainedRun):
     def box_in(self, survey: Survey) -> Box | None:
         """The box that a survey states, as high as the model where it states outlines alone; None
         without either. ConfigError if that has no inside."""
-        outlines = survey.crop_outlines or ()
+        outlines, z = survey.crop_outlines or (), self.model.gaussians.means[:, 2]
         if survey.crop is not None:
-            return Box.between(*survey.crop, outlines=outlines)
-        if not outlines:
-            return None
-        z = self.model.gaussians.means[:, 2]
-        box = Box.around(outlines[0], z.min().item(), z.max().item())
-        return Box.between(*box.low, *box.high, outlines=outlines)
+            return Box.between(*survey.crop, outlines)
+        return Box.around(outlines, z.min().item(), z.max().item()) if outlines else None
 
     def keep(self, box: Box | None) -> None:
-        """Write into the survey of the run's folder what ``cropped`` keeps from now on, None for
-        everything; ``undo_keep`` takes it back. Errors as for ``cropped``, and RunError if it
-        cannot be written."""
+        """Let the survey of the run's folder state a box for ``cropped``, or none; ``undo_keep``
+        takes that back. Errors as for ``cropped``, and RunError if it cannot be written."""
         if box is not None:
             self.cropped(box)
-        corners = None if box is None else (*box.low, *box.high)
-        keep_crop(self.folder.path, corners, None if box is None else box.outlines or None)
+        stated = (None, None) if box is None else ((*box.low, *box.high), box.outlines or None)
+        keep_crop(self.folder.path, stated)
 
     def undo_keep(self) -> None:
-        """Let the survey keep what it kept before the last ``keep`` of any process. ConfigError if
-        there is nothing to undo, RunError if it cannot be written."""
-        undo_crop(self.folder.path)
+        """Let the survey state what it did before the last ``keep``, of whatever process; errors as
+        for that, and ConfigError if there is nothing to undo."""
+        keep_crop(self.folder.path, None)
 
     @property
     def gaussian_count(self) -> int:

@@ -129,9 +129,8 @@ class Box(NamedTuple):
                 f"crop: the box from {x0:g} {y0:g} {z0:g} to {x1:g} {y1:g} {z1:g} has no inside: "
                 f"give x, y and z of two opposite corners, which differ in all three"
             )
-        if len(outlines) > MOST_OUTLINES or not all(
-            3 <= len(outline) <= MOST_CORNERS for outline in outlines
-        ):
+        sizes = [len(outline) for outline in outlines]
+        if len(sizes) > MOST_OUTLINES or not all(3 <= size <= MOST_CORNERS for size in sizes):
             raise ConfigError(
                 f"crop: give at most {MOST_OUTLINES} outlines of 3 to {MOST_CORNERS} corners x, y"
             )
@@ -140,10 +139,10 @@ class Box(NamedTuple):
         return cls((x0, y0, z0), (x1, y1, z1), own)
 
     @classmethod
-    def around(cls, outline: Sequence[tuple[float, float]], z0: float, z1: float) -> Box:
-        """What is within an outline, from one height to another; see ``between``."""
-        xs, ys = zip(*outline, strict=True)
-        return cls.between(min(xs), min(ys), z0, max(xs), max(ys), z1, outlines=[outline])
+    def around(cls, outlines: Outlines, z0: float, z1: float) -> Box:
+        """What is within outlines, at least one, from height z0 to z1; see ``between``."""
+        xs, ys = zip(*outlines[0], strict=True)
+        return cls.between(min(xs), min(ys), z0, max(xs), max(ys), z1, outlines)
 
     def within(self, other: Box) -> Box:
         """What is in both boxes, which must meet."""

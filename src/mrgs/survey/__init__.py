@@ -26,8 +26,7 @@ LONGEST_TEXT = 2_000
 
 Corners: TypeAlias = tuple[float, float, float, float, float, float]
 Outlines: TypeAlias = tuple[tuple[tuple[float, float], ...], ...]
-CropStates: TypeAlias = tuple[tuple[Corners | None, Outlines | None], ...]
-"""What has been kept, one after the other: ``crop`` and ``crop_outlines``."""
+Crop: TypeAlias = tuple[Corners | None, Outlines | None]
 
 Standard = Literal["EN 13187", "ISO 6781-3", "IEC TS 62446-3"]
 Side = Literal["inside", "outside"]
@@ -145,6 +144,11 @@ class Survey:
         low, high = self.scale_low_c, self.scale_high_c
         return None if low is None or high is None else (low, high)
 
+    @property
+    def kept(self) -> Crop:
+        """``crop`` and ``crop_outlines``."""
+        return self.crop, self.crop_outlines
+
     def __bool__(self) -> bool:
         return any(value is not None for value in asdict(self).values())
 
@@ -218,37 +222,21 @@ def write_survey(path: Path, survey: Survey) -> Path:
     return write_text(path, "\n".join(lines) + "\n")
 
 
-def keep_crop(folder: Path, crop: Corners | None, outlines: Outlines | None = None) -> None:
-    """Write another crop into the survey of a run's folder, and the one before into the file for
-    ``undo_crop``. Errors as for ``read_survey``; RunError also if a file cannot be written."""
-    with locked(folder / LOCK_FILE, folder / SURVEY_FILE):
-        survey = read_survey(folder / SURVEY_FILE)
-        before = survey.crop, survey.crop_outlines
-        if (crop, outlines) != before:
-            states = [*_earlier_crops(folder), before][-STEPS_KEPT:]
-            write_text(folder / CROP_UNDO_FILE, json.dumps(states) + "\n")
-            changed = replace(survey, crop=crop, crop_outlines=outlines)
-            write_survey(folder / SURVEY_FILE, changed)
-
-
-def undo_crop(folder: Path) -> None:
-    """Write the crop before the last ``keep_crop`` into the survey of a run's folder; errors as for
-    that, and ConfigError if there is none."""
-    with locked(folder / LOCK_FILE, folder / SURVEY_FILE):
-        survey, states = read_survey(folder / SURVEY_FILE), list(_earlier_crops(folder))
-        while states and states[-1] == (survey.crop, survey.crop_outlines):  # was cut off
-            states.pop()
-        if not states:
-            raise ConfigError("there is nothing to undo: what is kept has not been changed")
-        crop, outlines = states.pop()
-        write_survey(folder / SURVEY_FILE, replace(survey, crop=crop, crop_outlines=outlines))
-        write_text(folder / CROP_UNDO_FILE, json.dumps(states) + "\n")
-
-
-def _earlier_crops(folder: Path) -> CropStates:
-    """The states that can be brought back, the oldest first; none from a damaged file."""
+def keep_crop(folder: Path, crop: Crop | None) -> None:
+    """Write another crop into the survey of a run's folder; None undoes the last such change, of
+    which 50 are kept. Errors as for ``read_survey``; RunError also if a file cannot be written,
+    ConfigError if there is nothing to undo."""
     path = folder / CROP_UNDO_FILE
-    with suppress(OSError, ValueError, RecursionError, ConfigError):
-        states: CropStates = convert(CropStates, json.loads(read_text(path)), str(path))
-        return states
-    return ()
+    with locked(folder / LOCK_FILE, folder / SURVEY_FILE):
+        survey, states = read_survey(folder / SURVEY_FILE), []
+        with suppress(OSError, ValueError, RecursionError, ConfigError):  # what is damaged is lost
+            states = list(convert(tuple[Crop, ...], json.loads(read_text(path)), str(path)))
+        if crop is not None:
+            states = [*states, survey.kept][-STEPS_KEPT:]
+        while states and states[-1] == (crop or survey.kept):
+            states.pop()
+        if crop is None and not states:
+            raise ConfigError("there is nothing to undo: what is kept has not been changed")
+        box, outlines = crop or states.pop()
+        write_text(path, json.dumps(states) + "\n")
+        write_survey(folder / SURVEY_FILE, replace(survey, crop=box, crop_outlines=outlines))

@@ -232,16 +232,13 @@ class MarkBoard:
     def _use_survey(self, survey: Survey) -> None:
         """Show what a survey keeps, and take uncertainties from what it states. ConfigError if it
         keeps nothing."""
-        if self._keeping is not None:
-            self._keeping.follow(survey)
-            if self._keeping.shown is not self._shown:
-                self._use_instruments()
+        if self._keeping is not None and self._keeping.follow(survey):
+            self._use_instruments()
         if self._appraise is not None:
             self._meter.uncertainty = self._appraise(survey)
         self.survey = survey
 
     def _use_instruments(self) -> None:
         """Measure in the model as it is shown now."""
-        self._shown = None if self._keeping is None else self._keeping.shown
         self.picker, self._appraise = self._instruments()
         self._meter = self.picker.meter

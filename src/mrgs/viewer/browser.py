@@ -413,16 +413,20 @@ class Keep(BrowserMessage, tag="keep"):
     sides: tuple[Number, Number, Number, Number, Number, Number] | None = None
 
     def _act(self, browser: Browser) -> None:
-        keeping = browser.subject.kept
+        keeping = browser.subject.keeping
+        if keeping is None:
+            raise ConfigError("the model is being trained: keep a part of it when that has ended")
         match self.kind:
-            case "undo":
-                keeping.undo()
+            case "box":
+                keeping.keep_seen(browser.inspection.places_of(self.kind, self.points))
+            case "polygon":
+                keeping.keep_within(browser.inspection.places_of(self.kind, self.points))
+            case "sides" if self.sides is not None:
+                keeping.move_sides(self.sides)
             case "all":
                 keeping.keep(None)
-            case "sides" if self.sides is not None:
-                keeping.keep_between(self.sides)
-            case "box" | "polygon" as kind:
-                browser.inspection.keep(kind, self.points)
+            case "undo":
+                keeping.undo()
         browser.board.show_kept()
 
 

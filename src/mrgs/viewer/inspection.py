@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 import torch
@@ -35,6 +34,8 @@ from mrgs.viewer.panes import (
 from mrgs.viewer.settings import Settings, Subject
 
 PHOTOS_KEPT = 4
+
+NO_SURFACE = "no surface is seen there: draw over the model"
 
 BOX_STEPS = 300
 """Places across a box that is drawn, at which its surface is looked at."""
@@ -176,16 +177,17 @@ class Inspection:
         board.edit(lambda marks: marks.adding(kind, **picked))
         self.point = None
 
-    def keep(self, kind: Literal["box", "polygon"], points: Sequence[tuple[float, float]]) -> None:
-        """Keep of what is shown a box around the surface in the latest picture between two opposite
-        corners, or all above, below and within an outline through places, from 0 to 1; and save
-        that. Corners without a surface are as deep as most of it. ConfigError as for ``add_mark``,
-        or if there is no surface; errors as for ``Keeping.keep``."""
+    def places_of(
+        self, kind: MarkKind, points: Sequence[tuple[float, float]]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Places in the world [N, 3]: those on the surface that the latest picture shows in a box
+        between two places, from 0 to 1; or the corners of an outline, as deep as most of the
+        surface where there is none. ConfigError as for ``add_mark``, or if there is no surface."""
         pane, places = self._places(kind, points)
         assert self.drawn is not None
         depth = self.drawn.images[self.drawn.panes.index(pane)].depth
         if depth is None:
-            raise ConfigError("this picture has no depths: draw over the model")
+            raise ConfigError(NO_SURFACE)
         camera = pane.camera.resized(*depth.shape[::-1])
         if self._ball is not None:
             depth = self._ball.without_background(camera, torch.from_numpy(depth)).numpy()
@@ -193,17 +195,12 @@ class Inspection:
         if kind == "box":
             across = np.linspace(pixels[0], pixels[1], BOX_STEPS).astype(int)
             pixels = np.stack(np.meshgrid(*across.T), axis=-1).reshape(-1, 2)
+            pixels = pixels[np.isfinite(depth[pixels[:, 1], pixels[:, 0]])]
+        if not len(pixels) or not (surface := depth[np.isfinite(depth)]).size:
+            raise ConfigError(NO_SURFACE)
         z = depth[pixels[:, 1], pixels[:, 0]]
-        surface = z if kind == "box" else depth
-        surface = surface[np.isfinite(surface)]
-        if not surface.size:
-            raise ConfigError("no surface is seen there: draw over the model")
-        if kind == "box":
-            pixels, z = pixels[np.isfinite(z)], surface
         z = np.where(np.isfinite(z), z, np.median(surface))
-        found = camera.unproject(pixels + 0.5, z).double().numpy()
-        keeping = self.subject.kept
-        keeping.keep_around(found) if kind == "box" else keeping.keep_over(found)
+        return camera.unproject(pixels + 0.5, z).double().numpy()
 
     def _places(
         self, kind: MarkKind, points: Sequence[tuple[float, float]]

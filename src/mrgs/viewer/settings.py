@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-from mrgs.errors import ConfigError
 from mrgs.pictures.page_data import starting_limits
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.values import capitalised, format_value
@@ -129,13 +128,6 @@ class Subject:
     board: MarkBoard | None = None
     keeping: Keeping | None = None
     uncertainty: Callable[[Camera], Any] | None = None
-
-    @property
-    def kept(self) -> Keeping:
-        """What of the run is shown. ConfigError while it is trained."""
-        if self.keeping is None:
-            raise ConfigError("the model is being trained: keep a part of it when that has ended")
-        return self.keeping
 
     @property
     def scaled(self) -> Modality | None:

@@ -37,9 +37,9 @@ class MarkDrawing {
 
   get buttons() { return document.querySelectorAll("#mark-tools button, #keep-tools button"); }
 
-  get kind() { return this.tool?.dataset.kind ?? null; }
+  get kind() { return this.tool?.dataset.kind ?? this.tool?.dataset.keep ?? null; }
 
-  get keeps() { return this.tool?.parentElement.id === "keep-tools"; }
+  get keeps() { return this.tool?.dataset.keep !== undefined; }
 
   arm(tool) {
     if (this.tool) this.say("", this.keeps);
