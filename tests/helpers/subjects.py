@@ -8,7 +8,6 @@ from pathlib import Path
 from mrgs.marks.store import CameraSpread
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Scene
-from mrgs.viewer.keeping import Keeping
 from mrgs.viewer.server import board_of, uncertainty_of
 from mrgs.viewer.settings import Mode, Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
@@ -30,8 +29,7 @@ MODES = {
 def subject_of(run: Run, scene: Scene | None, folder: Path) -> Subject:
     """A run as the viewer's subject; what it writes goes into the folder."""
     source, modalities = TrainedSource(run.model), shown_modalities(run.model, scene)
-    keeping = Keeping(replace(run, folder=type(run.folder)(folder)), source)
-    temperature = run.temperature
-    subject = Subject("balls", source, modalities, temperature, scene, folder, keeping=keeping)
-    board = board_of(subject, CameraSpread.of_run(run))
+    subject = Subject("balls", source, modalities, run.temperature, scene, folder)
+    own = replace(run, folder=type(run.folder)(folder))
+    board = board_of(subject, CameraSpread.of_run(run), own)
     return replace(subject, board=board, uncertainty=uncertainty_of(subject, board))

@@ -22,7 +22,7 @@ from mrgs.system.atomic import locked, require_folder, write_error, write_text
 from mrgs.system.disk import read_text
 from mrgs.system.typed_json import Finite, from_json
 
-FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
+FILE, UNDO_FILE = "marks.json", "marks.undo.json"
 VERSION = 2
 """2 has proposals and severities; files of version 1 are read too."""
 
@@ -99,7 +99,7 @@ class MarkStore:
     def edit(self, change: Change) -> Marks:
         """Change the marks as they are on the disk now, and save them; returns them. ConfigError if
         the change is not possible, RunError as for ``read``, or if the file cannot be written."""
-        with locked(self.folder / LOCK_FILE, self.file):
+        with locked(self.file):
             before = self.read()
             after = change(before)
             if after != before:
@@ -110,7 +110,7 @@ class MarkStore:
     def undo(self) -> Marks:
         """Undo the last change, and save; returns the marks. Errors as for ``edit``; also
         ConfigError if there is nothing to undo."""
-        with locked(self.folder / LOCK_FILE, self.file):
+        with locked(self.file):
             now, states = self.read(), self._states(self._undo_file)
             while states and states[-1] == now:  # a change that was cut off before its second file
                 states.pop()

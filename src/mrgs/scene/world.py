@@ -103,8 +103,7 @@ class SceneBounds(NamedTuple):
 
 Outlines: TypeAlias = Sequence[Sequence[tuple[float, float]]]
 
-MOST_CORNERS, MOST_OUTLINES = 200, 20
-"""Corners of one outline, and outlines of one box."""
+MOST_CORNERS, MOST_OUTLINES = 200, 20  # of an outline, and of a box
 
 
 class Box(NamedTuple):

@@ -20,7 +20,7 @@ from mrgs.system.disk import read_text
 from mrgs.system.strict_yaml import convert, parse_yaml, read_yaml
 from mrgs.system.wording import shown
 
-SURVEY_FILE, CROP_UNDO_FILE, LOCK_FILE = "survey.yaml", "crop.undo.json", ".survey.lock"
+SURVEY_FILE, CROP_UNDO_FILE = "survey.yaml", "crop.undo.json"
 STEPS_KEPT = 50
 LONGEST_TEXT = 2_000
 
@@ -227,7 +227,7 @@ def keep_crop(folder: Path, crop: Crop | None) -> None:
     which 50 are kept. Errors as for ``read_survey``; RunError also if a file cannot be written,
     ConfigError if there is nothing to undo."""
     path = folder / CROP_UNDO_FILE
-    with locked(folder / LOCK_FILE, folder / SURVEY_FILE):
+    with locked(folder / SURVEY_FILE):
         survey, states = read_survey(folder / SURVEY_FILE), []
         with suppress(OSError, ValueError, RecursionError, ConfigError):  # what is damaged is lost
             states = list(convert(tuple[Crop, ...], json.loads(read_text(path)), str(path)))

@@ -25,8 +25,7 @@ TEMPORARY = ".mrgs-"
 """How the names of temporary folders begin; a file is written in one and then moved."""
 
 _LONGEST_SUFFIX = 16
-
-PATIENCE_S = 10.0
+LOCK_PATIENCE_S = 10.0
 
 _swept: set[Path] = set()
 """Folders whose abandoned files this process has removed."""
@@ -84,13 +83,13 @@ def require_folder(folder: Path) -> None:
 
 
 @contextmanager
-def locked(lock_file: Path, kept: Path) -> Iterator[None]:
-    """One change of a file ``kept`` in this folder at a time, whatever process makes it. RunError
-    if another one takes too long; WriteError if the folder is gone or cannot be written."""
-    require_folder(lock_file.parent)  # the lock would make the folder again
-    lock = FileLock(lock_file)
+def locked(kept: Path) -> Iterator[None]:
+    """One change of a file at a time, whatever process makes it, by ``.NAME.lock`` beside it.
+    RunError if another one takes too long; WriteError if the folder is gone, or as of a file."""
+    require_folder(kept.parent)  # the lock would make the folder again
+    lock = FileLock(kept.with_name(f".{kept.stem}.lock"))
     try:
-        lock.acquire(timeout=PATIENCE_S)
+        lock.acquire(timeout=LOCK_PATIENCE_S)
     except Timeout:
         raise RunError(f"another process keeps {kept} locked: end it, then try again") from None
     except OSError as error:

@@ -20,7 +20,8 @@ from msgspec import UNSET, UnsetType
 from mrgs.errors import ConfigError, MrgsError
 from mrgs.marks.mark import MarkKind, Marks
 from mrgs.pictures.palette import PaletteName
-from mrgs.scene import Camera
+from mrgs.runs.open import Run
+from mrgs.scene import Box, Camera
 from mrgs.scene.rotations import rigid_transform
 from mrgs.viewer import facts
 from mrgs.viewer.board import MarkBoard
@@ -79,10 +80,7 @@ class Browser:
         try:
             message = decode(data)
             # A mark that a change is about has its refusal beside it in the list.
-            mark = getattr(message, "mark", None)
-            number = (
-                "keep" if isinstance(message, Keep) else mark if isinstance(mark, int) else None
-            )
+            number = "keep" if isinstance(message, Keep) else getattr(message, "mark", None)
             if message.job == CHANGE:
                 now_s, changed_s = time.monotonic(), self._changed_s
                 if len(changed_s) == MOST_CHANGES and now_s - changed_s[0] < CHANGES_S:
@@ -186,8 +184,8 @@ class Browser:
             self.send("measuring")
             return
         self.send("marks", **facts.marks_facts(self.board, self.subject))
-        if self.subject.keeping is not None:
-            self.send("kept", **facts.kept_facts(self.subject.keeping.shown))
+        if (run := self.board.shown) is not None:
+            self.send("kept", box=run.crop, left_out=run.left_out, shown=run.gaussian_count)
         self.send("changed")  # the page then asks for a picture: it knows where its camera is
 
     def send_keyframes(self) -> None:
@@ -410,24 +408,19 @@ class Keep(BrowserMessage, tag="keep"):
     job = CHANGE
     kind: Literal["box", "polygon", "sides", "all", "undo"]
     points: Corners = ()
-    sides: tuple[Number, Number, Number, Number, Number, Number] | None = None
+    sides: tuple[Number, Number, Number, Number, Number, Number] = (0.0,) * 6
 
     def _act(self, browser: Browser) -> None:
-        keeping = browser.subject.keeping
-        if keeping is None:
-            raise ConfigError("the model is being trained: keep a part of it when that has ended")
-        match self.kind:
-            case "box":
-                keeping.keep_seen(browser.inspection.places_of(self.kind, self.points))
-            case "polygon":
-                keeping.keep_within(browser.inspection.places_of(self.kind, self.points))
-            case "sides" if self.sides is not None:
-                keeping.move_sides(self.sides)
-            case "all":
-                keeping.keep(None)
-            case "undo":
-                keeping.undo()
-        browser.board.show_kept()
+        board, box = browser.board, None
+        crop = None if board.shown is None else board.shown.crop
+        if self.kind == "undo":
+            return board.keep(Run.undo_keep)
+        if self.kind == "sides":
+            box = Box.between(*self.sides, () if crop is None else crop.outlines)
+        elif self.kind != "all":
+            box = browser.inspection.box_of(self.kind, self.points)
+            box = box if crop is None else box.within(crop)
+        board.keep(lambda run: run.keep(box))
 
 
 class GoToPhoto(BrowserMessage, tag="photo"):

@@ -24,7 +24,6 @@ from mrgs.pictures.page_data import (
     palette_facts,
 )
 from mrgs.pictures.values import range_of
-from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Modality, WorldFrame
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.inspection import Inspection, PointReading
@@ -76,7 +75,7 @@ def hello_facts(inspection: Inspection, start: Mapping[str, Any]) -> dict[str, A
             for each in subject.modalities
         ],
         "marks": subject.board is not None,
-        "keeps": subject.keeping is not None,
+        "keeps": subject.board is not None and subject.board.shown is not None,
         "mark_limits": MARK_LIMITS,
         "longest_side_px": LONGEST_SIDE_PX,
         "video_seconds": VIDEO_SECONDS,
@@ -136,17 +135,6 @@ def marks_facts(board: MarkBoard, subject: Subject) -> dict[str, Any]:
         "proposals": [text(reading) for reading in board.proposals],
         "notes": board.notes,
         "problems": board.problems,
-    }
-
-
-def kept_facts(run: Run) -> dict[str, Any]:
-    """What of a run is shown: the share that is left out, low and high end of its box in x, y, z,
-    none without one, and how many outlines are in it."""
-    crop = run.crop
-    return {
-        "left_out": run.left_out / (run.left_out + run.gaussian_count),
-        "sides": [] if crop is None else [[float(f"{x:.6g}") for x in end] for end in crop[:2]],
-        "outlines": 0 if crop is None else len(crop.outlines),
     }
 
 

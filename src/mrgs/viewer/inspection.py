@@ -17,7 +17,7 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.tables import label_text
 from mrgs.pictures.page_data import rounded
 from mrgs.pictures.palette import PaletteName
-from mrgs.scene import THERMAL, Camera, Modality, View
+from mrgs.scene import THERMAL, Box, Camera, Modality, View
 from mrgs.survey import Survey
 from mrgs.viewer.painting import DrawnPicture, MarkLabel, Scales, annotate, compose, measure_scales
 from mrgs.viewer.panes import (
@@ -35,10 +35,8 @@ from mrgs.viewer.settings import Settings, Subject
 
 PHOTOS_KEPT = 4
 
-NO_SURFACE = "no surface is seen there: draw over the model"
-
-BOX_STEPS = 300
-"""Places across a box that is drawn, at which its surface is looked at."""
+BOX_STEPS, SEEN_PERCENT, MARGIN = 300, (1.0, 99.0), 0.05
+"""Of a box to keep: places across, percentiles of their surface, share of its longest side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,17 +175,14 @@ class Inspection:
         board.edit(lambda marks: marks.adding(kind, **picked))
         self.point = None
 
-    def places_of(
-        self, kind: MarkKind, points: Sequence[tuple[float, float]]
-    ) -> Float[np.ndarray, "n 3"]:
-        """Places in the world [N, 3]: those on the surface that the latest picture shows in a box
-        between two places, from 0 to 1; or the corners of an outline, as deep as most of the
-        surface where there is none. ConfigError as for ``add_mark``, or if there is no surface."""
+    def box_of(self, kind: MarkKind, points: Sequence[tuple[float, float]]) -> Box:
+        """The box around the surface that the latest picture shows between two places, from 0 to 1;
+        or all above, below and within an outline through places, whose corners are as deep as most
+        of the surface where there is none. ConfigError as for ``add_mark``."""
         pane, places = self._places(kind, points)
         assert self.drawn is not None
         depth = self.drawn.images[self.drawn.panes.index(pane)].depth
-        if depth is None:
-            raise ConfigError(NO_SURFACE)
+        depth = np.full((1, 1), np.nan) if depth is None else depth
         camera = pane.camera.resized(*depth.shape[::-1])
         if self._ball is not None:
             depth = self._ball.without_background(camera, torch.from_numpy(depth)).numpy()
@@ -196,11 +191,17 @@ class Inspection:
             across = np.linspace(pixels[0], pixels[1], BOX_STEPS).astype(int)
             pixels = np.stack(np.meshgrid(*across.T), axis=-1).reshape(-1, 2)
             pixels = pixels[np.isfinite(depth[pixels[:, 1], pixels[:, 0]])]
-        if not len(pixels) or not (surface := depth[np.isfinite(depth)]).size:
-            raise ConfigError(NO_SURFACE)
+        if not len(pixels) or not np.isfinite(depth).any():
+            raise ConfigError("no surface is seen there: draw over the model")
         z = depth[pixels[:, 1], pixels[:, 0]]
-        z = np.where(np.isfinite(z), z, np.median(surface))
-        return camera.unproject(pixels + 0.5, z).double().numpy()
+        z = np.where(np.isfinite(z), z, np.median(depth[np.isfinite(depth)]))
+        found = camera.unproject(pixels + 0.5, z).double().numpy()
+        if kind == "box":
+            low, high = np.percentile(found, SEEN_PERCENT, axis=0)
+            margin = MARGIN * (high - low).max()
+            return Box.between(*(low - margin).tolist(), *(high + margin).tolist())
+        low, high = self.subject.source.run(lambda model: model.gaussians.means.aminmax(dim=0))
+        return Box.around([found[:, :2].tolist()], low[2].item(), high[2].item())
 
     def _places(
         self, kind: MarkKind, points: Sequence[tuple[float, float]]

@@ -30,8 +30,7 @@ from mrgs.scene import THERMAL, Camera, CameraResponse, Rendering, Scene
 from mrgs.scene.depth_map import before_background
 from mrgs.scene.preview import best_view
 from mrgs.training import StepStatistics, TrainConfig
-from mrgs.viewer.board import Appraiser, Instruments, MarkBoard
-from mrgs.viewer.keeping import Keeping
+from mrgs.viewer.board import Appraiser, MarkBoard
 from mrgs.viewer.panes import PaneImages, UncertaintyPictures, render_surface
 from mrgs.viewer.settings import Subject, shown_modalities
 from mrgs.viewer.source import LiveSource, TrainedSource
@@ -187,19 +186,17 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
             f"Still training: this is the checkpoint of {step}. Open the run again for a newer one."
         )
         warn_user(f"{run.folder.path} is still training: showing its checkpoint of {step}")
-    source = TrainedSource(run.model)
     subject = Subject(
         title_of(run.folder.path, Path(run.facts.scene).name if scene is None else scene.name),
-        source,
+        TrainedSource(run.model),
         shown_modalities(run.model, scene),
         run.temperature,
         scene,
         run.folder.path,
         note,
         run.camera_response,
-        keeping=Keeping(run, source),
     )
-    board = board_of(subject, CameraSpread.of_run(run))
+    board = board_of(subject, CameraSpread.of_run(run), run)
     subject = replace(subject, board=board, uncertainty=uncertainty_of(subject, board))
     camera = start_camera(scene, run.model)
     viewer = Viewer(subject, start_at(camera, scene), host, port)
@@ -214,14 +211,16 @@ def title_of(folder: Path, scene: str) -> str:
     return own if own.startswith(scene) else f"{scene}, {own}"
 
 
-def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
-    """The marks in a run's folder, measured in the model that is shown."""
-    store = MarkStore(subject.folder, spread)
-    return MarkBoard(store, partial(instruments_of, subject), subject.keeping)
+def board_of(subject: Subject, spread: CameraSpread, run: Run | None = None) -> MarkBoard:
+    """The marks in a run's folder, measured in what is shown; the ``run`` if parts can be kept."""
+    store, instruments = MarkStore(subject.folder, spread), partial(instruments_of, subject)
+    if run is None or not isinstance(subject.source, TrainedSource):
+        return MarkBoard(store, instruments)
+    return MarkBoard(store, instruments, run, subject.source.show)
 
 
-def instruments_of(subject: Subject) -> Instruments:
-    """What finds and measures marks in the model that is shown now."""
+def instruments_of(subject: Subject) -> tuple[MarkPicker, Appraiser | None]:
+    """See ``Instruments``."""
 
     def draw(camera: Camera) -> Rendering:
         return subject.source.run(lambda model: render_surface(model, camera, subject))

@@ -25,7 +25,6 @@ from mrgs.scene import (
     metric_first,
 )
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.keeping import Keeping
 from mrgs.viewer.source import Source
 
 Kind = Literal[
@@ -112,7 +111,6 @@ class Subject:
         camera_response: what the captured cameras do to the images; applied where the model is
             compared with photos.
         board: the marks of the run; None where they cannot be kept.
-        keeping: what of the run is shown; None while it is trained.
         uncertainty: that of the temperatures as ``PaneImages`` of a camera; None where it is not
             known.
     """
@@ -126,7 +124,6 @@ class Subject:
     note: str = ""
     camera_response: CameraResponse = ideal_cameras
     board: MarkBoard | None = None
-    keeping: Keeping | None = None
     uncertainty: Callable[[Camera], Any] | None = None
 
     @property

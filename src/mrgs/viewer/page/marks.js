@@ -263,12 +263,16 @@ class KeptPart {
     }
   }
 
-  show({ left_out: share, sides, outlines }) {
+  show({ box, left_out: leftOut, shown }) {
+    const [low, high, outlines] = box ?? [[], [], []];
+    const share = leftOut / (leftOut + shown);
     const percent = share > 0 && share < 0.01 ? "less than 1" : String(Math.round(100 * share));
-    const what = outlines ? `What is in ${outlines > 1 ? `${outlines} outlines` : "an outline"} and this box` : "What is in this box";
-    element("kept").textContent = sides.length ? `${what} is shown; ${percent} % of the model is left out.` : "All of the model is shown.";
-    element("sides").hidden = !sides.length;
-    sides.forEach((end, i) => end.forEach((number, axis) => { this.inputs[i][axis].value = withMinus(String(number)); }));
+    const what = outlines.length ? `What is in ${outlines.length > 1 ? `${outlines.length} outlines` : "an outline"} and this box` : "What is in this box";
+    element("kept").textContent = box ? `${what} is shown; ${percent} % of the model is left out.` : "All of the model is shown.";
+    element("sides").hidden = !box;
+    [low, high].forEach((end, i) => end.forEach((number, axis) => {
+      this.inputs[i][axis].value = withMinus(String(Number(number.toPrecision(6))));
+    }));
     refuse(this.inputs.flat(), this.said, "");
   }
 
