@@ -25,6 +25,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from mrgs.errors import ConfigError
 from mrgs.marks import Mark
 from mrgs.marks.store import MarkStore
+from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.browser import MOST_CHANGES, Browser
 from mrgs.viewer.server import open_viewer, start_at, title_of
@@ -384,6 +385,50 @@ def test_what_a_browser_does_is_answered(viewer, balls):
         await connection.send('{"type": "screenshot"}')
         saved = (await answer(connection, "status"))["text"]
         assert saved.startswith("Saved in the run's folder: renders/screenshots/")
+
+    browse(viewer, visit)
+
+
+def test_what_is_drawn_is_kept_and_what_cannot_be_is_refused(viewer, small_run):
+    async def visit(connection: ClientConnection) -> None:
+        async def keep(expected: str = "kept", **message: Any) -> dict[str, Any]:
+            await connection.send(json.dumps({"type": "keep", **message}))
+            while (told := await answer(connection, expected)).get("box", "none") == known[-1]:
+                pass  # what is kept is told again after it was measured in
+            known.append(told.get("box", known[-1]))
+            return told
+
+        assert (await answer(connection, "hello"))["keeps"]
+        first = await answer(connection, "kept")
+        known = [first["box"]]
+        assert (first["box"], first["left_out"]) == (None, 0)
+        await picture(connection)
+        box = await keep(kind="box", points=[[0.4, 0.4], [0.6, 0.6]])
+        assert box["left_out"] + box["shown"] == small_run.gaussian_count
+        assert box["left_out"] > 0
+        low, high, outlines = box["box"]
+        assert outlines == []
+        wider = [low[0] - 9, *low[1:], *high]
+        moved = await keep(kind="sides", sides=wider)
+        assert moved["box"][0] == wider[:3]
+        await picture(connection)
+        corners = [[0.3, 0.3], [0.7, 0.3], [0.5, 0.7]]
+        drawn = await keep(kind="polygon", points=corners)
+        assert len(drawn["box"][2][0]) == 3
+        refused = await keep("refused", kind="sides", sides=[50, 50, 50, 51, 51, 51])
+        assert (refused["mark"], "no Gaussian" in refused["text"]) == ("keep", True)
+        refused = await keep("refused", kind="sides")
+        assert "no inside" in refused["text"]
+        refused = await keep("refused", kind="box", points=corners)
+        assert "opposite" in refused["text"]
+        refused = await keep("refused", kind="polygon", points=corners[:2])
+        assert "3 to 200 corners" in refused["text"]
+        assert read_survey(small_run.folder.path / SURVEY_FILE).crop_outlines is not None
+        for expected in (moved, box, first):
+            assert (await keep(kind="undo"))["box"] == expected["box"]
+        assert "nothing to undo" in (await keep("refused", kind="undo"))["text"]
+        assert (await keep(kind="box", points=[[0.4, 0.4], [0.6, 0.6]]))["box"]
+        assert (await keep(kind="all"))["box"] is None
 
     browse(viewer, visit)
 

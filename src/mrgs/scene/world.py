@@ -128,8 +128,8 @@ class Box(NamedTuple):
                 f"crop: the box from {x0:g} {y0:g} {z0:g} to {x1:g} {y1:g} {z1:g} has no inside: "
                 f"give x, y and z of two opposite corners, which differ in all three"
             )
-        sizes = [len(outline) for outline in outlines]
-        if len(sizes) > MOST_OUTLINES or not all(3 <= size <= MOST_CORNERS for size in sizes):
+        fit = [3 <= len(o) <= MOST_CORNERS and math.isfinite(sum(map(sum, o))) for o in outlines]
+        if len(fit) > MOST_OUTLINES or not all(fit):
             raise ConfigError(
                 f"crop: give at most {MOST_OUTLINES} outlines of 3 to {MOST_CORNERS} corners x, y"
             )
