@@ -295,8 +295,8 @@ def test_a_change_that_is_taken_back_before_its_answer_is_saved(open_page, viewe
 def test_what_is_being_measured_anew_is_grey(open_page, board, monkeypatch):
     page = open_page()
     row = draw_box(page)
-    go, measure = threading.Event(), board._meter.measure
-    monkeypatch.setattr(board._meter, "measure", lambda *of: (go.wait(60), measure(*of))[1])
+    go, measure = threading.Event(), board.picker.meter.measure
+    monkeypatch.setattr(board.picker.meter, "measure", lambda *of: (go.wait(60), measure(*of))[1])
     value = row.locator("summary span").last
     known = value.evaluate("each => getComputedStyle(each).color")
     row.get_by_label("Emissivity").fill("0.5")

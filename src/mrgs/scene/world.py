@@ -126,7 +126,7 @@ class Box(NamedTuple):
         if not all(math.isfinite(low) and math.isfinite(high) and low < high for low, high in ends):
             raise ConfigError(
                 f"crop: the box from {x0:g} {y0:g} {z0:g} to {x1:g} {y1:g} {z1:g} has no inside: "
-                f"give x, y and z of two opposite corners, which differ in all three"
+                f"give two corners that differ in x, y and z; draw an outline from above"
             )
         fit = [3 <= len(o) <= MOST_CORNERS and math.isfinite(sum(map(sum, o))) for o in outlines]
         if len(fit) > MOST_OUTLINES or not all(fit):

@@ -263,7 +263,10 @@ class KeptPart {
     }
   }
 
+  // Told again whenever marks have been measured: what is typed or said stays then.
   show({ box, left_out: leftOut, shown }) {
+    if (this.known === JSON.stringify(box)) return;
+    this.known = JSON.stringify(box);
     const [low, high, outlines] = box ?? [[], [], []];
     const share = leftOut / (leftOut + shown);
     const percent = share > 0 && share < 0.01 ? "less than 1" : String(Math.round(100 * share));
