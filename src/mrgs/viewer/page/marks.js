@@ -10,7 +10,7 @@ const HINTS = {
 };
 
 const KEEP_HINTS = {
-  box: "Drag over what is to be kept: a box around the surface that is seen there.",
+  box: "Drag tightly over what is to be kept: a box around all surface that is seen there, also behind the object.",
   polygon: "From above, click on each corner of what is to be kept, then Done: all above and below the outline stays.",
 };
 
