@@ -15,7 +15,7 @@ from mrgs import open_marks
 from mrgs.app.cli import main
 from mrgs.marks.mark import Mark
 from mrgs.runs.open import load_run
-from mrgs.scene import THERMAL
+from mrgs.scene import THERMAL, Box
 from mrgs.survey import Survey, read_survey, write_survey
 from tests.helpers.runs import SMALL, trained_run
 
@@ -273,3 +273,32 @@ def test_modules_are_listed_and_written(run, tmp_path, capsys, monkeypatch):
     said = capsys.readouterr().out
     assert "3 modules, 1 with findings" in said
     assert "modules.html" in said
+
+
+def test_everything_follows_what_the_survey_keeps(run, tmp_path, capsys):
+    whole = load_run(run)
+    outline = ((-9.0, -9.0), (0.0, -9.0), (0.0, 9.0), (-9.0, 9.0))
+    whole.keep(Box.around([outline], -9.0, 9.0))
+    inside = int((whole.model.gaussians.means[:, 0] < 0).sum())
+    for command in (
+        ["export", str(run), "--format", "ply"],
+        ["report", str(run)],
+        ["render", str(run)],
+    ):
+        capsys.readouterr()
+        assert main([*command]) == 0
+        said = capsys.readouterr().err
+        assert f"{whole.gaussian_count - inside:,} Gaussians are left out" in said
+        assert "within an outline of 4 corners" in said
+    facts = json.loads((run / "export/rgb.ply.json").read_text(encoding="utf-8"))
+    assert facts["splats"] == inside
+    assert facts["crop"]["outlines"] == [[list(corner) for corner in outline]]
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert "within an outline of 4 corners is shown" in page
+    assert main(["report", str(run), "--set", "crop=", "crop_outlines="]) == 0
+    assert "left out" not in capsys.readouterr().err
+    assert read_survey(run / "survey.yaml").kept == (None, None)
+    text = f"crop_outlines=[{[list(corner) for corner in outline]}]"
+    assert main(["report", str(run), "--set", text, "--output", str(tmp_path / "r.html")]) == 0
+    assert f"{whole.gaussian_count - inside:,} Gaussians are left out" in capsys.readouterr().err
+    (run / "survey.yaml").unlink()

@@ -10,10 +10,11 @@ import torch
 
 from mrgs.export import export
 from mrgs.export.job import comment_lines, described, facts_of
+from mrgs.maps.options import MapOptions
 from mrgs.maps.surfaces import up_direction
 from mrgs.rasterizer.contract import Dilation
-from mrgs.scene import RGB, THERMAL, Box, Camera, View
-from tests.helpers.exports import make_baked
+from mrgs.scene import RGB, THERMAL, Box, Camera, View, WorldFrame
+from tests.helpers.exports import make_baked, read_ply
 
 
 def test_the_facts_say_units_axes_range_and_loss(scene):
@@ -96,3 +97,19 @@ def test_an_export_says_what_is_left_out(run, scene, tmp_path):
     assert facts["splats"] == len(means) - facts["crop"]["splats_left_out"] < len(means)
     assert facts["crop"]["high"] == list(box.high)
     assert "crop" not in facts_of(make_baked(), scene, None, None)
+
+
+def test_maps_and_points_show_what_is_within_the_outline(run, scene, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    metric = replace(scene, world=WorldFrame(metric=True))
+    outline = [(-9.0, -9.0), (0.0, -9.0), (0.0, 9.0), (-9.0, 9.0)]
+    ends = {}
+    for name, model in (("whole", run), ("part", run.cropped(Box.around([outline], -9, 9)))):
+        options = MapOptions(pixel_size_m=0.05)
+        export(model, metric, ["ortho", "points"], tmp_path / name, maps=options)
+        with rasterio.open(tmp_path / name / "ortho.tif") as file:
+            x = np.array(file.xy(*np.isfinite(file.read(1)).nonzero())[0])
+        points = read_ply(tmp_path / name / "points.ply")[1]["vertex"]["x"]
+        ends[name] = x.min(), points.min(), x.max(), points.max()
+    assert ends["part"][:2] == ends["whole"][:2]
+    assert min(ends["whole"][2:]) > 0.3 > 0.2 > max(ends["part"][2:])

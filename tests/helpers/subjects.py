@@ -30,5 +30,6 @@ def subject_of(run: Run, scene: Scene | None, folder: Path) -> Subject:
     """A run as the viewer's subject; what it writes goes into the folder."""
     source, modalities = TrainedSource(run.model), shown_modalities(run.model, scene)
     subject = Subject("balls", source, modalities, run.temperature, scene, folder)
-    board = board_of(subject, CameraSpread.of_run(run))
+    own = replace(run, folder=type(run.folder)(folder))
+    board = board_of(subject, CameraSpread.of_run(run), own)
     return replace(subject, board=board, uncertainty=uncertainty_of(subject, board))

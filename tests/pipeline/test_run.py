@@ -151,7 +151,7 @@ def test_what_is_stated_or_marked_later_is_reported(own, small_scene):
     assert run_again() == []
     marks.accept("H1")
     assert run_again() == ["report", "page", "exports"]
-    everything = Survey(crop=(-99.0, -99.0, -99.0, 99.0, 99.0, 99.0))
+    everything = Survey(crop_outlines=(((-99.0, -99.0), (99.0, -99.0), (0.0, 99.0)),))
     write_survey(own / "fast" / "survey.yaml", everything)
     assert run_again() == ["render", "report", "page", "exports"]
     (own / "fast" / "marks.json").write_text("[", encoding="utf-8")

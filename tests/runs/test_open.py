@@ -19,7 +19,7 @@ from mrgs.render import Model
 from mrgs.runs.open import Run, load_run, open_run
 from mrgs.runs.registry import Method
 from mrgs.scene import RGB, THERMAL, Box, Camera, Modality, Rendering
-from mrgs.survey import Survey, write_survey
+from mrgs.survey import Survey, read_survey, write_survey
 from mrgs.system.operation import PLAIN_VARIABLE
 from tests.helpers.runs import SMALL, trained_run
 
@@ -260,3 +260,41 @@ def test_a_box_beside_the_model_is_refused_with_where_the_model_is(run):
     with pytest.raises(ConfigError, match="crop") as refused:
         run.cropped(Box((90, 90, 90), (91, 91, 91)))
     assert " ".join(low)[:5] in str(refused.value)
+
+
+def half(run: Run) -> Box:
+    """What is within an outline around the Gaussians with x below 0."""
+    (x0, y0, z0), (_, y1, z1) = run.model.gaussians.means.aminmax(dim=0)
+    corners = [(x0 - 1, y0 - 1), (0.0, y0 - 1), (0.0, y1 + 1), (x0 - 1, y1 + 1)]
+    return Box.around([[(float(x), float(y)) for x, y in corners]], float(z0), float(z1))
+
+
+def test_what_is_kept_is_in_the_survey_until_it_is_undone(run, tmp_path):
+    own = replace(run, folder=type(run.folder)(tmp_path))
+    write_survey(tmp_path / "survey.yaml", Survey(client="Town"))
+    box = half(run)
+    own.keep(box)
+    cropped = own.cropped()
+    assert cropped.crop == box
+    assert 0 < cropped.gaussian_count == int((run.model.gaussians.means[:, 0] < 0).sum())
+    with pytest.raises(ConfigError, match="no Gaussian"):
+        own.keep(Box((90, 90, 90), (91, 91, 91)))
+    assert own.cropped().crop == box
+    own.keep(None)
+    assert own.cropped() is own
+    own.undo_keep()
+    assert own.cropped().crop == box
+    own.undo_keep()
+    assert read_survey(tmp_path / "survey.yaml") == Survey(client="Town")
+    with pytest.raises(ConfigError, match="nothing to undo"):
+        own.undo_keep()
+
+
+def test_outlines_alone_are_as_high_as_the_model(run, tmp_path):
+    own = replace(run, folder=type(run.folder)(tmp_path))
+    outlines = half(run).outlines
+    write_survey(tmp_path / "survey.yaml", Survey(crop_outlines=outlines))
+    assert own.cropped().crop == half(run)
+    write_survey(tmp_path / "survey.yaml", Survey(crop_outlines=(((0, 0), (1, 1)),)))
+    with pytest.raises(ConfigError, match="3 to 200 corners"):
+        own.cropped()

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 import pytest
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.survey import Survey, read_survey, write_survey
+from mrgs.survey import Survey, keep_crop, read_survey, write_survey
 
 STATED = Survey(
     title="Cold bridges",
@@ -17,6 +17,7 @@ STATED = Survey(
     inside_c=21.0,
     wind_m_s=0.0,
     crop=(-4.0, -3.0, 0.0, 4.0, 3.0, 6.5),
+    crop_outlines=(((0.0, 0.0), (3.0, 0.25), (2.0, 2.5)), ((-1.0, 0.0), (3.0, 0.0), (3.0, 2.0))),
 )
 
 
@@ -70,6 +71,13 @@ def test_assignments_change_some_fields():
         ("crop=[1, 2, 3]", "crop .*6 values"),
         ("crop=[0, 0, 0, 1, 1, warm]", "crop .*'warm'"),
         ("crop=[0, 0, 0, 1, 1, 0]", "crop .*corners"),
+        (
+            "crop_outlines=[[0, 0], [4, 0], [4, 3]]",
+            "crop_outlines .*list of 2 values, not 0",
+        ),
+        ("crop_outlines=[[[0, 0], [4, 0], [4]]]", "crop_outlines must be a list of 2 values"),
+        ("crop_outlines=[[[0, 0], [4, .inf], [4, 1]]]", "crop_outlines must be a finite number"),
+        ("crop_outlines={x: 1}", "crop_outlines must be a list, not"),
         ("remarks=" + "x" * 2001, "remarks .*2,000"),
     ],
 )
@@ -104,3 +112,54 @@ def test_a_file_that_is_no_survey(tmp_path):
     path.write_text("weather: sun\nclouds: 3\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"'clouds'; .*title, object"):
         read_survey(path)
+
+
+BOXES = [(-float(i), -1.0, -1.0, 1.0, 1.0, 1.0) for i in range(1, 60)]
+
+
+def test_what_is_kept_is_undone_step_by_step_and_nothing_else_changes(tmp_path):
+    file = write_survey(tmp_path / "survey.yaml", STATED)
+    states = [(BOXES[0], None), (None, STATED.crop_outlines), (None, None)]
+    for state in states:
+        keep_crop(tmp_path, state)
+        assert read_survey(file) == replace(STATED, crop=state[0], crop_outlines=state[1])
+    keep_crop(tmp_path, states[-1])  # the same again is no step
+    for state in (*states[-2::-1], STATED.kept):
+        keep_crop(tmp_path, None)
+        assert read_survey(file).kept == state
+    assert read_survey(file) == STATED
+    with pytest.raises(ConfigError, match="nothing to undo"):
+        keep_crop(tmp_path, None)
+
+
+def test_the_last_fifty_steps_can_be_undone(tmp_path):
+    for box in BOXES:
+        keep_crop(tmp_path, (box, None))
+    for _ in range(50):
+        keep_crop(tmp_path, None)
+    assert read_survey(tmp_path / "survey.yaml").crop == BOXES[-51]
+    with pytest.raises(ConfigError, match="nothing to undo"):
+        keep_crop(tmp_path, None)
+
+
+@pytest.mark.parametrize(
+    "text", ["[[1", "{}", "[[[1, 2], null]]", "[" * 5000, '[[null, [[["a", 1]]]]]']
+)
+def test_a_damaged_file_for_undoing_undoes_nothing(tmp_path, text):
+    (tmp_path / "crop.undo.json").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match="nothing to undo"):
+        keep_crop(tmp_path, None)
+    keep_crop(tmp_path, (BOXES[0], None))
+    keep_crop(tmp_path, None)
+    assert read_survey(tmp_path / "survey.yaml").kept == (None, None)
+
+
+def test_a_broken_survey_and_a_missing_folder_are_left_as_they_are(tmp_path):
+    file = tmp_path / "survey.yaml"
+    file.write_text("crop: all\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"survey.yaml: crop"):
+        keep_crop(tmp_path, (BOXES[0], None))
+    assert file.read_text(encoding="utf-8") == "crop: all\n"
+    with pytest.raises(RunError, match="is gone"):
+        keep_crop(tmp_path / "none", (BOXES[0], None))
+    assert not (tmp_path / "none").exists()

@@ -25,8 +25,9 @@ def _without_marks(request: pytest.FixtureRequest) -> Iterator[None]:
     """The run is shared: no test leaves marks in it."""
     yield
     if "small_run" in request.fixturenames:
-        for file in request.getfixturevalue("small_run").folder.path.glob("marks.*"):
-            file.unlink()
+        for file in request.getfixturevalue("small_run").folder.path.iterdir():
+            if file.name.startswith(("marks.", "survey.", "crop.")):
+                file.unlink()
 
 
 @pytest.fixture(scope="session")

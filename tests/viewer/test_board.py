@@ -13,11 +13,12 @@ from mrgs.errors import ConfigError, RunError
 from mrgs.marks import Mark
 from mrgs.marks.store import MarkStore
 from mrgs.render import Model
-from mrgs.scene import Camera
-from mrgs.survey import SURVEY_FILE
+from mrgs.scene import Box, Camera
+from mrgs.survey import SURVEY_FILE, Survey, write_survey
 from mrgs.viewer.board import MarkBoard, MarkNumbers
 from mrgs.viewer.server import board_of
 from mrgs.viewer.source import Result, TrainedSource
+from tests.helpers.subjects import subject_of
 
 
 @pytest.fixture
@@ -139,7 +140,7 @@ def test_a_broken_survey_is_a_problem_and_no_reason_not_to_open(board, disk, add
     add()
     survey = disk.folder / SURVEY_FILE
     survey.write_text("camera_accuracy_c: a lot")
-    opened = MarkBoard(disk, board.picker, board._appraise)
+    opened = MarkBoard(disk, board._instruments)
     opened.refresh()
     assert "camera_accuracy_c" in opened.problems[0]
     survey.unlink()
@@ -253,3 +254,68 @@ def test_a_problem_has_the_name_that_the_mark_has_now(board):
     assert problem.startswith("L1 ")
     board.change(board.numbers[0], {"name": "Door"})
     assert board.readings[0].problem == problem.replace("L1", "Door")
+
+
+@pytest.fixture
+def left(board):
+    """A box with nearly all that is at y below 0."""
+    (x0, y0, z0), (x1, _, z1) = board.shown.model.gaussians.means.aminmax(dim=0)
+    return Box.between(*map(float, (x0, y0, z0, x1, 0.0, z1)))
+
+
+def count(board) -> int:
+    return board._instruments.args[0].source.run(lambda model: len(model.gaussians))
+
+
+def test_what_is_kept_is_shown_at_once_and_undone(board, left):
+    heard = []
+    board.subscribe(lambda: heard.append(count(board)))
+    total, few = count(board), int(left.contains(board.shown.model.gaussians.means).sum())
+    board.keep(lambda run: run.keep(left))
+    assert (count(board), board.shown.gaussian_count, board.shown.crop) == (few, few, left)
+    board.keep(lambda run: run.keep(None))
+    board.keep(type(board.shown).undo_keep)
+    assert board.shown.crop == left
+    board.keep(type(board.shown).undo_keep)
+    assert heard == [few, total, few, total]
+
+
+def test_marks_are_measured_in_what_is_kept(board, add, left):
+    add()
+    (whole,) = board.readings
+    beside = Box.between(*left.low, left.high[0], left.low[1] + 0.3, left.high[2])
+    board.keep(lambda run: run.keep(beside))
+    board.refresh()
+    assert board.readings[0].covered < 0.5 * whole.covered
+    board.keep(type(board.shown).undo_keep)
+    board.refresh()
+    assert (board.readings[0].covered, board.readings[0].mean) == (whole.covered, whole.mean)
+
+
+def test_what_another_program_keeps_is_followed_and_what_cannot_be_is_a_problem(board, left):
+    survey = board._store.folder / SURVEY_FILE
+    total = count(board)
+    write_survey(survey, Survey(crop=(*left.low, *left.high)))
+    board.refresh()
+    assert (board.shown.crop, board.problems) == (left, ())
+    write_survey(survey, Survey(crop=(90, 90, 90, 91, 91, 91)))
+    board.refresh()
+    assert "no Gaussian" in board.problems[0]
+    assert board.shown.crop == left
+    survey.unlink()
+    board.refresh()
+    assert (count(board), board.problems) == (total, ())
+
+
+def test_a_run_that_was_given_cropped_can_be_shown_whole(small_run, balls, left):
+    given = small_run.cropped(left)
+    opened = subject_of(given, balls, small_run.folder.path).board
+    assert count(opened) == given.gaussian_count
+    opened.keep(lambda run: run.keep(None))
+    assert count(opened) == small_run.gaussian_count
+
+
+def test_of_a_model_in_training_nothing_is_left_out(board, disk):
+    training = MarkBoard(disk, board._instruments)
+    with pytest.raises(ConfigError, match="being trained"):
+        training.keep(lambda run: run.keep(None))

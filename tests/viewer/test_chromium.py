@@ -21,7 +21,7 @@ from mrgs.pictures.page_data import PALETTE_CHOICES
 from mrgs.pictures.palette import palette_table
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
-from mrgs.survey import SURVEY_FILE
+from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.painting import NO_SURFACE_COLOR
 from mrgs.viewer.server import open_viewer
@@ -295,8 +295,8 @@ def test_a_change_that_is_taken_back_before_its_answer_is_saved(open_page, viewe
 def test_what_is_being_measured_anew_is_grey(open_page, board, monkeypatch):
     page = open_page()
     row = draw_box(page)
-    go, measure = threading.Event(), board._meter.measure
-    monkeypatch.setattr(board._meter, "measure", lambda *of: (go.wait(60), measure(*of))[1])
+    go, measure = threading.Event(), board.picker.meter.measure
+    monkeypatch.setattr(board.picker.meter, "measure", lambda *of: (go.wait(60), measure(*of))[1])
     value = row.locator("summary span").last
     known = value.evaluate("each => getComputedStyle(each).color")
     row.get_by_label("Emissivity").fill("0.5")
@@ -623,3 +623,33 @@ def test_the_end_stays_said_when_the_last_picture_is_shown_after_it(browser, sma
 def test_what_shows_no_surface_has_a_colour_of_its_own():
     tables = np.concatenate([palette_table(name) for name in PALETTE_CHOICES])
     assert np.abs(tables.astype(int) - NO_SURFACE_COLOR).sum(axis=1).min() > 15
+
+
+def test_what_is_outlined_alone_is_kept_until_it_is_undone(open_page, small_run, tmp_path):
+    page = open_page()
+    start, box = picture(page), page.locator("#view").bounding_box()
+    page.click("[data-keep=polygon]")
+    for x, y in ((0.4, 0.4), (0.6, 0.4), (0.6, 0.6), (0.4, 0.6)):
+        page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#kept:text-matches('an outline and this box')")
+    wait_until(lambda: not np.array_equal(picture(page), start), "the rest is gone", page)
+    page.wait_for_selector(SETTLED)
+    screenshot(page, "viewer_kept.png", tmp_path)
+    field = page.get_by_label("z from")
+    field.fill("low")
+    field.blur()
+    page.wait_for_selector("#keep-said:text-matches('a number')")
+    field.fill("−9,5")
+    field.blur()
+    survey = small_run.folder.path / SURVEY_FILE
+    wait_until(lambda: read_survey(survey).crop[2] == -9.5, "the side is moved", page)
+    page.get_by_label("x to").fill("-90")
+    page.get_by_label("x to").blur()
+    page.wait_for_selector("#keep-said.warning:text-matches('no Gaussian')")
+    for _ in range(2):
+        page.click("#keep-undo")
+    page.wait_for_selector("#kept:text-matches('All of the model')")
+    wait_until(lambda: np.array_equal(picture(page), start), "all is shown again", page)
+    page.click("#keep-undo")
+    page.wait_for_selector("#keep-said:text-matches('nothing to undo')")

@@ -12,7 +12,7 @@ from PIL import Image
 from mrgs.errors import ConfigError, RunError
 from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.open import load_run
-from mrgs.scene import RGB, THERMAL, Scene, SceneBounds
+from mrgs.scene import RGB, THERMAL, Camera, Scene, SceneBounds
 from mrgs.survey import SURVEY_FILE, Survey, write_survey
 from mrgs.training import make_config, train
 from mrgs.viewer.facts import header_text, hello_facts, point_text
@@ -384,3 +384,38 @@ def test_uncertainty_is_drawn_with_the_dilation_of_the_model(small_run, balls, c
     (shown,) = inspection.picture(camera).images
     depth = run.render(camera).visible_depth().numpy()
     assert shown.depth[shown.solid] == pytest.approx(depth[shown.solid], rel=1e-5)
+
+
+def test_a_box_is_around_the_surface_that_is_seen_in_it(inspection, camera, balls):
+    inspection.picture(camera)
+    box = inspection.box_of("box", [(0.7, 0.35), (0.3, 0.65)])
+    depth = inspection.drawn.images[0].depth
+    points = camera.unproject_image(balls.reach.without_background(camera, torch.from_numpy(depth)))
+    seen = points[42:79, 48:113].reshape(-1, 3)
+    seen = seen[seen.isfinite().all(dim=1)]
+    assert box.contains(seen).float().mean() > 0.9
+    assert (np.subtract(box.high, box.low) < 1.3 * np.ptp(seen.numpy(), axis=0).max()).all()
+
+
+def test_an_outline_is_above_and_below_the_surface_at_its_corners(subject, inspection):
+    above = Camera.from_fov(160, 120, 60).look_at((0.0, 0.1, 4.0), (0.0, 0.0, 0.0))
+    inspection.picture(above)
+    corners = [(0.4, 0.4), (0.6, 0.4), (0.6, 0.6), (0.4, 0.6), (0.01, 0.01)]
+    box = inspection.box_of("polygon", corners)
+    means = subject.board.shown.model.gaussians.means
+    assert (box.low[2], box.high[2]) == (means[:, 2].min().item(), means[:, 2].max().item())
+    depth = inspection.drawn.images[0].depth
+    z = [depth[int(120 * y), int(160 * x)] for x, y in corners]
+    z = np.where(np.isfinite(z), z, np.median(depth[np.isfinite(depth)]))
+    pixels = [(int(160 * x) + 0.5, int(120 * y) + 0.5) for x, y in corners]
+    expected = above.unproject(pixels, z).numpy()[:, :2]
+    np.testing.assert_allclose(box.outlines[0], expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["box", "polygon"])
+def test_what_is_drawn_beside_the_model_keeps_nothing(inspection, camera, kind):
+    away = camera.look_at((3.0, 0.0, 0.0), (6.0, 0.0, 0.0))
+    inspection.picture(away)
+    points = [(0.3, 0.3), (0.7, 0.7)] if kind == "box" else [(0.3, 0.3), (0.7, 0.3), (0.5, 0.6)]
+    with pytest.raises(ConfigError, match="no surface is seen there"):
+        inspection.box_of(kind, points)

@@ -25,6 +25,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from mrgs.errors import ConfigError
 from mrgs.marks import Mark
 from mrgs.marks.store import MarkStore
+from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.browser import MOST_CHANGES, Browser
 from mrgs.viewer.server import open_viewer, start_at, title_of
@@ -88,11 +89,11 @@ async def picture(connection: ClientConnection, **changed: Any) -> dict[str, Any
     return json.loads(data[4 : 4 + int.from_bytes(data[:4], "little")])
 
 
-async def answer(connection: ClientConnection, kind: str) -> dict[str, Any]:
-    """The next text of a kind."""
+async def answer(connection: ClientConnection, *kinds: str) -> dict[str, Any]:
+    """The next text of some kinds."""
     while True:
         data = await asyncio.wait_for(connection.recv(), 60)
-        if isinstance(data, str) and (message := json.loads(data))["type"] == kind:
+        if isinstance(data, str) and (message := json.loads(data))["type"] in kinds:
             return message
 
 
@@ -388,6 +389,54 @@ def test_what_a_browser_does_is_answered(viewer, balls):
     browse(viewer, visit)
 
 
+def test_what_is_drawn_is_kept_and_what_cannot_be_is_refused(viewer, small_run):
+    async def visit(connection: ClientConnection) -> None:
+        async def keep(expected: str = "kept", **message: Any) -> dict[str, Any]:
+            await connection.send(json.dumps({"type": "keep", **message}))
+            while (told := await answer(connection, expected, "refused")).get("box", 0) == known[
+                -1
+            ]:
+                pass  # what is kept is told again after it was measured in
+            assert told["type"] == expected, told["text"]
+            known.append(told.get("box", known[-1]))
+            return told
+
+        assert (await answer(connection, "hello"))["keeps"]
+        first = await answer(connection, "kept")
+        known = [first["box"]]
+        assert (first["box"], first["left_out"]) == (None, 0)
+        await picture(connection)
+        box = await keep(kind="box", points=[[0.4, 0.4], [0.6, 0.6]])
+        assert box["left_out"] + box["shown"] == small_run.gaussian_count
+        assert box["left_out"] > 0
+        low, high, outlines = box["box"]
+        assert outlines == []
+        wider = [low[0] - 9, *low[1:], *high]
+        moved = await keep(kind="sides", sides=wider)
+        assert moved["box"][0] == wider[:3]
+        down = {"rotation": [1, 0, 0, 0, -1, 0, 0, 0, -1], "position": [0, 0, 4]}
+        await picture(connection, **down)
+        corners = [[0.1, 0.1], [0.9, 0.1], [0.5, 0.9]]
+        drawn = await keep(kind="polygon", points=corners)
+        assert len(drawn["box"][2][0]) == 3
+        refused = await keep("refused", kind="sides", sides=[50, 50, 50, 51, 51, 51])
+        assert (refused["mark"], "no Gaussian" in refused["text"]) == ("keep", True)
+        refused = await keep("refused", kind="sides")
+        assert "no inside" in refused["text"]
+        refused = await keep("refused", kind="box", points=corners)
+        assert "opposite" in refused["text"]
+        refused = await keep("refused", kind="polygon", points=corners[:2])
+        assert "no inside" in refused["text"]
+        assert read_survey(small_run.folder.path / SURVEY_FILE).crop_outlines is not None
+        for expected in (moved, box, first):
+            assert (await keep(kind="undo"))["box"] == expected["box"]
+        assert "nothing to undo" in (await keep("refused", kind="undo"))["text"]
+        assert (await keep(kind="box", points=[[0.4, 0.4], [0.6, 0.6]]))["box"]
+        assert (await keep(kind="all"))["box"] is None
+
+    browse(viewer, visit)
+
+
 @pytest.fixture
 def held(viewer) -> Iterator[threading.Event]:
     """The model's thread is in the middle of a job until the event is set."""
@@ -453,7 +502,7 @@ def test_a_drive_that_does_not_answer_stops_no_browser(subject, camera):
 
     board = subject.board
     store = StoreOnDrive(board._store.folder, board._store._spread)
-    subject = replace(subject, board=MarkBoard(store, board.picker))
+    subject = replace(subject, board=MarkBoard(store, board._instruments))
     viewer = Viewer(subject, start_at(camera, subject.scene), "127.0.0.1", 0)
     try:
         browse(viewer, visit)

@@ -384,10 +384,10 @@ def _stated_survey(command: commands.Report) -> Survey | None:
 
 def _cropped_as_stated(run: Run, command: commands.Report, stated: Survey | None) -> Run:
     """The run in the box that the options state, or else in that of the survey in its folder."""
-    sets_box = command.survey is not None or any(each.startswith("crop=") for each in command.set)
+    sets_box = command.survey is not None or any(each.startswith("crop") for each in command.set)
     if stated is None or not sets_box:
         return cropped(run)
-    return run if stated.crop is None else cropped(run, stated.crop)
+    return cropped(run, *stated.kept) if any(stated.kept) else run
 
 
 def _keep_survey(folder: Path, stated: Survey | None) -> None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from mrgs.export import BakingLoss
     from mrgs.runs.open import Run, TrainedRun
     from mrgs.scene import Scene
+    from mrgs.survey import Corners, Outlines
 
 
 def styled(text: str, style: str, stream: TextIO) -> str:
@@ -117,12 +118,12 @@ def note_unfinished(run: Run) -> None:
         )
 
 
-def cropped(run: Run, corners: Sequence[float] | None = None) -> Run:
-    """The run without what is outside a box between two corners, x, y, z each, by default outside
-    the one in its survey; says how much that is. ConfigError as for ``Run.cropped``."""
-    from mrgs.scene import Box
+def cropped(run: Run, crop: Corners | None = None, outlines: Outlines | None = None) -> Run:
+    """The run without what is outside a box between two corners, and outlines, by default those in
+    its survey; says how much that is. ConfigError as for ``Run.cropped``."""
+    from mrgs.survey import Survey
 
-    found = run.cropped(None if corners is None else Box.between(*corners))
+    found = run.cropped(run.box_in(Survey(crop=crop, crop_outlines=outlines)))
     if found.crop is not None:
         print_note(f"{found.left_out:,} Gaussians are left out: not in the box {found.crop}")
     return found

@@ -5,31 +5,28 @@ from __future__ import annotations
 
 import errno
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import FileLock, Timeout
 from jaxtyping import Float
 
 from mrgs.errors import ConfigError, RunError, warn_user
 from mrgs.marks.mark import Mark, Marks
 from mrgs.runs.open import TrainedRun
 from mrgs.scene import Scene
-from mrgs.system.atomic import require_folder, write_error, write_text
+from mrgs.system.atomic import locked, require_folder, write_error, write_text
 from mrgs.system.disk import read_text
 from mrgs.system.typed_json import Finite, from_json
 
-FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
+FILE, UNDO_FILE = "marks.json", "marks.undo.json"
 VERSION = 2
 """2 has proposals and severities; files of version 1 are read too."""
 
 STEPS_KEPT = 50
-PATIENCE_S = 10.0
 SAME = 1e-3
 """Share of the extent by which the cameras of one scene may seem to differ."""
 
@@ -102,7 +99,7 @@ class MarkStore:
     def edit(self, change: Change) -> Marks:
         """Change the marks as they are on the disk now, and save them; returns them. ConfigError if
         the change is not possible, RunError as for ``read``, or if the file cannot be written."""
-        with self._locked():
+        with locked(self.file):
             before = self.read()
             after = change(before)
             if after != before:
@@ -113,7 +110,7 @@ class MarkStore:
     def undo(self) -> Marks:
         """Undo the last change, and save; returns the marks. Errors as for ``edit``; also
         ConfigError if there is nothing to undo."""
-        with self._locked():
+        with locked(self.file):
             now, states = self.read(), self._states(self._undo_file)
             while states and states[-1] == now:  # a change that was cut off before its second file
                 states.pop()
@@ -190,24 +187,6 @@ class MarkStore:
             f"{path} is damaged ({reason}): it is kept as {aside.name}; fix it and rename it, or "
             f"undo to bring back the marks before the last change"
         )
-
-    @contextmanager
-    def _locked(self) -> Iterator[None]:
-        """One change at a time, whatever process makes it."""
-        require_folder(self.folder)  # the lock would make the folder again
-        lock = FileLock(self.folder / LOCK_FILE)
-        try:
-            lock.acquire(timeout=PATIENCE_S)
-        except Timeout:
-            raise RunError(
-                f"another process keeps {self.file} locked: end it, then try again"
-            ) from None
-        except OSError as error:
-            raise write_error(self.file, error) from error
-        try:
-            yield
-        finally:
-            lock.release()
 
 
 def file_stamp(path: Path) -> tuple[int, ...] | None:

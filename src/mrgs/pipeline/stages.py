@@ -126,7 +126,7 @@ class Job:
         return fingerprint(version("mrgs"), stamp, self._scene_contents())
 
     def _made_from_cropped(self) -> str:
-        return fingerprint(self._made_from_model(), read_survey(self.model / SURVEY_FILE).crop)
+        return fingerprint(self._made_from_model(), read_survey(self.model / SURVEY_FILE).kept)
 
     def _made_from_measured(self) -> str:
         """The model, and what the user has stated and marked in its folder."""

@@ -199,11 +199,13 @@ def read_logo(survey: Survey, folder: Path) -> InlineImage | None:
 
 
 def crop_notes(run: Run, t: Texts) -> list[str]:
-    """A sentence on what has been left out of the model; none for a whole one."""
+    """Sentences on what has been left out of the model; none for a whole one."""
     if run.crop is None:
         return []
-    low, high = (t.numbers(", ".join(f"{x:g}" for x in end)) for end in run.crop)
-    return [t("Only a box is shown: x, y, z from {low} to {high}.", low=low, high=high)]
+    low, high = (t.numbers(", ".join(f"{x:g}" for x in end)) for end in run.crop[:2])
+    box = t("Only a box is shown: x, y, z from {low} to {high}.", low=low, high=high)
+    within = "Of this box, only what is within an outline of {count} corners is shown."
+    return [box, *(t(within, count=t.count(len(outline))) for outline in run.crop.outlines)]
 
 
 def _listed(settings: Iterable[Setting], t: Texts) -> str:

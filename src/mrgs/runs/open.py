@@ -25,7 +25,7 @@ from mrgs.runs.registry import Method, find_method
 from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import NOT_COARSER, Box, Camera, Modality, Rendering, Scene
 from mrgs.scene.view import moved_view
-from mrgs.survey import SURVEY_FILE, read_survey
+from mrgs.survey import SURVEY_FILE, Survey, keep_crop, read_survey
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.threads import will_compute
@@ -114,10 +114,9 @@ class Run(TrainedRun):
         source = "crop"
         if box is None:
             file = self.folder.path / SURVEY_FILE
-            source, stated = f"{file}: crop", read_survey(file).crop
-            if stated is None:
+            source, box = f"{file}: crop", self.box_in(read_survey(file))
+            if box is None:
                 return self
-            box = Box.between(*stated)
         gaussians, residuals = self.model.gaussians, self.model.temperature_residuals
         inside = box.contains(gaussians.means)
         if not inside.any():
@@ -135,6 +134,27 @@ class Run(TrainedRun):
         left_out = self.left_out + len(inside) - len(rows)
         crop = box if self.crop is None else box.within(self.crop)
         return replace(self, model=model, crop=crop, left_out=left_out)
+
+    def box_in(self, survey: Survey) -> Box | None:
+        """The box that a survey states, as high as the model where it states outlines alone; None
+        without either. ConfigError if that has no inside."""
+        outlines, z = survey.crop_outlines or (), self.model.gaussians.means[:, 2]
+        if survey.crop is not None:
+            return Box.between(*survey.crop, outlines)
+        return Box.around(outlines, z.min().item(), z.max().item()) if outlines else None
+
+    def keep(self, box: Box | None) -> None:
+        """Let the survey of the run's folder state a box for ``cropped``, or none; ``undo_keep``
+        takes that back. Errors as for ``cropped``, and RunError if it cannot be written."""
+        if box is not None:
+            self.cropped(box)
+        stated = (None, None) if box is None else ((*box.low, *box.high), box.outlines or None)
+        keep_crop(self.folder.path, stated)
+
+    def undo_keep(self) -> None:
+        """Let the survey state what it did before the last ``keep``, of whatever process; errors as
+        for that, and ConfigError if there is nothing to undo."""
+        keep_crop(self.folder.path, None)
 
     @property
     def gaussian_count(self) -> int:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import pairwise
+from typing import NamedTuple, TypeAlias
 
 import torch
 from jaxtyping import Bool, Float, Float64
@@ -104,35 +105,70 @@ class SceneBounds(NamedTuple):
         return torch.where(self.is_background(camera.unproject_image(depth)), torch.inf, depth)
 
 
+Outlines: TypeAlias = Sequence[Sequence[tuple[float, float]]]
+
+MOST_CORNERS, MOST_OUTLINES = 200, 20  # of an outline, and of a box
+
+
 class Box(NamedTuple):
-    """A box along the axes of the world from ``low`` to ``high``, both included; scene units."""
+    """A box along the axes of the world from ``low`` to ``high``, both included; of it what is
+    within all ``outlines``: polygons x, y, seen from above. Scene units."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
+    outlines: tuple[tuple[tuple[float, float], ...], ...] = ()
 
     @classmethod
-    def between(cls, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> Box:
-        """The box between two opposite corners. ConfigError if they span none."""
+    def between(
+        cls, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float,
+        outlines: Outlines = (),
+    ) -> Box:  # fmt: skip
+        """The box between two opposite corners, within outlines whose corners are in their order:
+        where sides cross, what lies between them is out where it is surrounded twice. ConfigError
+        if the corners span no box, or there are too few or too many."""
         ends = [sorted(pair) for pair in ((x0, x1), (y0, y1), (z0, z1))]
         if not all(math.isfinite(low) and math.isfinite(high) and low < high for low, high in ends):
             raise ConfigError(
                 f"crop: the box from {x0:g} {y0:g} {z0:g} to {x1:g} {y1:g} {z1:g} has no inside: "
-                f"give x, y and z of two opposite corners, which differ in all three"
+                f"give two corners that differ in x, y and z; draw an outline from above"
+            )
+        fit = [3 <= len(o) <= MOST_CORNERS and math.isfinite(sum(map(sum, o))) for o in outlines]
+        if len(fit) > MOST_OUTLINES or not all(fit):
+            raise ConfigError(
+                f"crop: give at most {MOST_OUTLINES} outlines of 3 to {MOST_CORNERS} corners x, y"
             )
         (x0, x1), (y0, y1), (z0, z1) = ends
-        return cls((x0, y0, z0), (x1, y1, z1))
+        own = tuple(tuple((x, y) for x, y in outline) for outline in outlines)
+        return cls((x0, y0, z0), (x1, y1, z1), own)
+
+    @classmethod
+    def around(cls, outlines: Outlines, z0: float, z1: float) -> Box:
+        """What is within outlines, at least one, from height z0 to z1; see ``between``."""
+        xs, ys = zip(*outlines[0], strict=True)
+        return cls.between(min(xs), min(ys), z0, max(xs), max(ys), z1, outlines)
 
     def within(self, other: Box) -> Box:
         """What is in both boxes, which must meet."""
         x0, y0, z0 = map(max, self.low, other.low)
         x1, y1, z1 = map(min, self.high, other.high)
-        return Box((x0, y0, z0), (x1, y1, z1))
+        outlines = dict.fromkeys((*self.outlines, *other.outlines))
+        return Box((x0, y0, z0), (x1, y1, z1), tuple(outlines))
 
     def contains(self, points: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
-        """Whether points of the world, [..., 3], are in it; NaN is not."""
-        low, high = (constant(end, points) for end in self)
-        return ((points >= low) & (points <= high)).all(dim=-1)
+        """Whether points of the world, [..., 3], are in it; NaN is not. On a side of an outline
+        they may or may not be."""
+        low, high = constant(self.low, points), constant(self.high, points)
+        inside = ((points >= low) & (points <= high)).all(dim=-1)
+        x, y = points[..., 0], points[..., 1]
+        for outline in self.outlines:
+            odd = torch.zeros_like(inside)  # the number of sides beyond which a point lies
+            for (x0, y0), (x1, y1) in pairwise((*outline, outline[0])):
+                if y0 != y1:
+                    odd ^= ((y < y0) != (y < y1)) & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
+            inside &= odd
+        return inside
 
     def __str__(self) -> str:
-        low, high = (" ".join(f"{number:.6g}" for number in end) for end in self)
-        return f"{low} to {high}"
+        low, high = (" ".join(f"{number:.6g}" for number in end) for end in self[:2])
+        corners = (f", within an outline of {len(outline)} corners" for outline in self.outlines)
+        return f"{low} to {high}{''.join(corners)}"

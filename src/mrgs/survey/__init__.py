@@ -4,22 +4,29 @@ client, weather, conditions. Kept as ``survey.yaml`` in the run's folder."""
 from __future__ import annotations
 
 import datetime
+import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
 import yaml
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.system.atomic import write_text
+from mrgs.system.atomic import locked, write_text
 from mrgs.system.disk import read_text
 from mrgs.system.strict_yaml import convert, parse_yaml, read_yaml
 from mrgs.system.wording import shown
 
-SURVEY_FILE = "survey.yaml"
+SURVEY_FILE, CROP_UNDO_FILE = "survey.yaml", "crop.undo.json"
+STEPS_KEPT = 50
 LONGEST_TEXT = 2_000
+
+Corners: TypeAlias = tuple[float, float, float, float, float, float]
+Outlines: TypeAlias = tuple[tuple[tuple[float, float], ...], ...]
+Crop: TypeAlias = tuple[Corners | None, Outlines | None]
 
 Standard = Literal["EN 13187", "ISO 6781-3", "IEC TS 62446-3"]
 Side = Literal["inside", "outside"]
@@ -57,6 +64,7 @@ class Survey:
         logo: picture for the report's cover; its path, from the survey's folder if it is relative.
         scale_low_c: with ``scale_high_c``, the ends of the palette in all pictures and on the page.
         crop: x, y, z of two opposite corners of the box to which the model is cropped.
+        crop_outlines: of polygons, seen from above, to what is within all of which it is cropped.
     """
 
     title: str | None = _stated()
@@ -105,7 +113,8 @@ class Survey:
     scale_low_c: float | None = _stated(unit="°C", low=-273, high=5000)
     scale_high_c: float | None = _stated(unit="°C", low=-273, high=5000)
     photos_in_page: bool | None = _stated(high=1)
-    crop: tuple[float, float, float, float, float, float] | None = _stated()
+    crop: Corners | None = _stated()  # noqa: RUF009 - a field
+    crop_outlines: Outlines | None = _stated()  # noqa: RUF009 - a field
     statement: str | None = _stated()
     remarks: str | None = _stated("Remarks")
 
@@ -134,6 +143,11 @@ class Survey:
         """Temperatures of the palette's first and last colour, °C."""
         low, high = self.scale_low_c, self.scale_high_c
         return None if low is None or high is None else (low, high)
+
+    @property
+    def kept(self) -> Crop:
+        """``crop`` and ``crop_outlines``."""
+        return self.crop, self.crop_outlines
 
     def __bool__(self) -> bool:
         return any(value is not None for value in asdict(self).values())
@@ -206,3 +220,23 @@ def write_survey(path: Path, survey: Survey) -> Path:
             line = yaml.safe_dump({name: stated[name]}, default_flow_style=flow, allow_unicode=True)
         lines.append(line.rstrip())
     return write_text(path, "\n".join(lines) + "\n")
+
+
+def keep_crop(folder: Path, crop: Crop | None) -> None:
+    """Write another crop into the survey of a run's folder; None undoes the last such change, of
+    which 50 are kept. Errors as for ``read_survey``; RunError also if a file cannot be written,
+    ConfigError if there is nothing to undo."""
+    path = folder / CROP_UNDO_FILE
+    with locked(folder / SURVEY_FILE):
+        survey, states = read_survey(folder / SURVEY_FILE), []
+        with suppress(OSError, ValueError, RecursionError, ConfigError):  # what is damaged is lost
+            states = list(convert(tuple[Crop, ...], json.loads(read_text(path)), str(path)))
+        if crop is not None:
+            states = [*states, survey.kept][-STEPS_KEPT:]
+        while states and states[-1] == (crop or survey.kept):
+            states.pop()
+        if crop is None and not states:
+            raise ConfigError("there is nothing to undo: what is kept has not been changed")
+        box, outlines = crop or states.pop()
+        write_text(path, json.dumps(states) + "\n")
+        write_survey(folder / SURVEY_FILE, replace(survey, crop=box, crop_outlines=outlines))

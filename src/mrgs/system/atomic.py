@@ -11,9 +11,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from filelock import FileLock, Timeout
 from safetensors import SafetensorError
 
-from mrgs.errors import WriteError
+from mrgs.errors import RunError, WriteError
 
 try:
     import fcntl
@@ -24,6 +25,7 @@ TEMPORARY = ".mrgs-"
 """How the names of temporary folders begin; a file is written in one and then moved."""
 
 _LONGEST_SUFFIX = 16
+LOCK_PATIENCE_S = 10.0
 
 _swept: set[Path] = set()
 """Folders whose abandoned files this process has removed."""
@@ -78,6 +80,24 @@ def require_folder(folder: Path) -> None:
             f"the folder {folder} is gone: nothing can be saved until it is back; reconnect its "
             f"drive, or move it back"
         )
+
+
+@contextmanager
+def locked(kept: Path) -> Iterator[None]:
+    """One change of a file at a time, whatever process makes it, by ``.NAME.lock`` beside it.
+    RunError if another one takes too long; WriteError if the folder is gone, or as of a file."""
+    require_folder(kept.parent)  # the lock would make the folder again
+    lock = FileLock(kept.with_name(f".{kept.stem}.lock"))
+    try:
+        lock.acquire(timeout=LOCK_PATIENCE_S)
+    except Timeout:
+        raise RunError(f"another process keeps {kept} locked: end it, then try again") from None
+    except OSError as error:
+        raise write_error(kept, error) from error
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def remove(path: Path) -> None:

@@ -156,9 +156,11 @@ def convert(hint: Any, value: Any, source: str) -> Any:
             return None
         hint = _member([option for option in get_args(hint) if option is not type(None)], value)
     if typing.get_origin(hint) is tuple:
-        kinds = get_args(hint)
+        kinds, length = get_args(hint), f" of {len(get_args(hint))} values"
+        if kinds[-1] is Ellipsis:
+            kinds, length = kinds[:1] * (len(value) if isinstance(value, list) else 0), ""
         if not isinstance(value, list) or len(value) != len(kinds):
-            raise ConfigError(f"{source} must be a list of {len(kinds)} values, not {shown(value)}")
+            raise ConfigError(f"{source} must be a list{length}, not {shown(value)}")
         return tuple(convert(*each, source) for each in zip(kinds, value, strict=True))
     if dataclasses.is_dataclass(hint):
         return _build(typing.cast(type, hint), value, source)

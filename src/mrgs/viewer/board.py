@@ -1,4 +1,4 @@
-"""The marks of the model that is shown, for all browsers that look at it."""
+"""The marks of the model that is shown, and which part of it is, for all who look at it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import itertools
 import warnings
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,15 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.store import MarkStore, file_stamp
 from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.render import Model
+from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera
-from mrgs.survey import SURVEY_FILE, Survey, read_survey
+from mrgs.survey import SURVEY_FILE, Crop, Survey, read_survey
 
 Listener = Callable[[], None]
 Appraiser = Callable[[Survey], UncertaintyMeter]
+Instruments = Callable[[], tuple[MarkPicker, Appraiser | None]]
+"""What finds and measures surfaces of the model that is shown now, and their ± by a survey."""
 
 
 class MarkNumbers:
@@ -58,10 +63,11 @@ class MarkBoard:
     see ``Worker``.
 
     Args:
-        picker: finds the surface that marks are drawn on; has the meter that measures them.
-        appraise: the uncertainty of the temperatures by what the survey states; None if unknown.
+        run: as it is shown at first; None for a model in training, which is shown as it is.
+        show: lets a model be shown in place of the run's.
 
     Attributes:
+        shown: the run with what is kept of it, as the survey states.
         numbers: of each; it stays the same when a mark is renamed.
         proposals: of the report, measured in the same way.
         problems: why the files of the run are not what is shown, a sentence each.
@@ -69,19 +75,19 @@ class MarkBoard:
     """
 
     def __init__(
-        self, store: MarkStore, picker: MarkPicker, appraise: Appraiser | None = None
-    ) -> None:
+        self, store: MarkStore, instruments: Instruments,
+        run: Run | None = None, show: Callable[[Model], None] = lambda _: None,
+    ) -> None:  # fmt: skip
         self.marks = Marks()
         self.numbers: list[int] = []
         self.readings: list[MarkReading] = []
         self.proposals: list[MarkReading] = []
-        self.regions: Regions = picker.meter.regions(self.marks)
         self.problems: tuple[str, ...] = ()
         self.is_measuring = False
         self._store = store
-        self.picker = picker
-        self._meter = picker.meter
-        self._appraise = appraise
+        self.shown, self._show_model, self._instruments = run, show, instruments
+        self.picker, self._appraise = self._instruments()
+        self.regions: Regions = self.picker.meter.regions(self.marks)
         self._identities = MarkNumbers()
         self._files: object = None
         self._listeners: tuple[Listener, ...] = ()
@@ -89,13 +95,14 @@ class MarkBoard:
             survey = read_survey(self._store.folder / SURVEY_FILE)
         except MrgsError:
             survey = Survey()  # the first refresh() reports why
+        self._kept: Crop | None = survey.kept
         self._use_survey(survey)
         self._measured = self.marks, self.survey
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Assumptions where a surface has an emissivity of its own, and what the ± leaves out."""
-        assumed = self._meter.capture.notes if self.regions else ()
+        assumed = self.picker.meter.capture.notes if self.regions else ()
         shown = any(reading.uncertainty for reading in (*self.readings, *self.proposals))
         left_out = self.uncertainty.notes if shown and self.uncertainty is not None else ()
         return (*assumed, *left_out)
@@ -103,7 +110,7 @@ class MarkBoard:
     @property
     def uncertainty(self) -> UncertaintyMeter | None:
         """Uncertainty of the model's temperatures; None where it is not known."""
-        return self._meter.uncertainty
+        return self.picker.meter.uncertainty
 
     def temperature(
         self,
@@ -114,7 +121,7 @@ class MarkBoard:
     ) -> float:
         """What a spot at a pixel (column, row) of a picture with these z-depths would read; NaN
         where no photo sees it, the model changes, or, ``at_once``, nothing has been read yet."""
-        if at_once and not self._meter.survey.maps:
+        if at_once and not self.picker.meter.survey.maps:
             return np.nan
         return self.picker.temperature(camera, depth, pixel, self.regions)
 
@@ -156,6 +163,24 @@ class MarkBoard:
             for listener in self._listeners:
                 listener()
 
+    @cached_property
+    def _whole(self) -> Run:
+        """The run before anything is left out; opened again if what was given is cropped."""
+        if self.shown is None:
+            raise ConfigError("the model is being trained: keep a part of it when that has ended")
+        run = self.shown
+        return run if run.crop is None else load_run(run.folder.path, device="cpu")
+
+    def keep(self, change: Callable[[Run], None]) -> None:
+        """Change what the survey keeps of the whole run, and show that; the next refresh measures
+        in it. Errors as for ``Run.keep``, and ConfigError while the run is trained."""
+        change(self._whole)
+        self._kept = None
+        self._use_survey(read_survey(self._store.folder / SURVEY_FILE))
+        self._files, self._measured = None, (Marks(), Survey())
+        for listener in self._listeners:
+            listener()
+
     def change(self, number: int, fields: dict[str, Any]) -> None:
         """Change fields of the mark of a number; errors as for ``edit``."""
         self.edit(lambda marks: marks.changing(self._name(marks, number), **fields))
@@ -190,9 +215,9 @@ class MarkBoard:
         for listener in self._listeners:
             listener()
         try:
-            regions = self._meter.regions(marks)
-            readings = self._meter.measure(marks, regions)
-            proposals = self._meter.measure(Marks(marks.proposals), regions)
+            regions = self.picker.meter.regions(marks)
+            readings = self.picker.meter.measure(marks, regions)
+            proposals = self.picker.meter.measure(Marks(marks.proposals), regions)
             self.regions, self.readings, self.proposals = regions, readings, proposals
             self.marks, self.numbers = marks, self._identities.of(marks.marks)
             self._measured, self.problems = (marks, self.survey), problems
@@ -216,7 +241,13 @@ class MarkBoard:
         return there, self._store.stamp, file_stamp(folder / SURVEY_FILE)
 
     def _use_survey(self, survey: Survey) -> None:
-        """Take uncertainties from what a survey states."""
+        """Show what a survey keeps, and take uncertainties from what it states."""
+        if self.shown is not None and survey.kept != self._kept:
+            box = self._whole.box_in(survey)
+            self.shown = self._whole if box is None else self._whole.cropped(box)
+            self._show_model(self.shown.model)
+            self.picker, self._appraise = self._instruments()
+            self._kept = survey.kept
         if self._appraise is not None:
-            self._meter.uncertainty = self._appraise(survey)
+            self.picker.meter.uncertainty = self._appraise(survey)
         self.survey = survey

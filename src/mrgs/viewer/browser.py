@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -20,7 +20,8 @@ from msgspec import UNSET, UnsetType
 from mrgs.errors import ConfigError, MrgsError
 from mrgs.marks.mark import MarkKind, Marks
 from mrgs.pictures.palette import PaletteName
-from mrgs.scene import Camera
+from mrgs.runs.open import Run
+from mrgs.scene import Box, Camera
 from mrgs.scene.rotations import rigid_transform
 from mrgs.viewer import facts
 from mrgs.viewer.board import MarkBoard
@@ -79,8 +80,7 @@ class Browser:
         try:
             message = decode(data)
             # A mark that a change is about has its refusal beside it in the list.
-            mark = getattr(message, "mark", None)
-            number = mark if isinstance(mark, int) else None
+            number = "keep" if isinstance(message, Keep) else getattr(message, "mark", None)
             if message.job == CHANGE:
                 now_s, changed_s = time.monotonic(), self._changed_s
                 if len(changed_s) == MOST_CHANGES and now_s - changed_s[0] < CHANGES_S:
@@ -105,9 +105,9 @@ class Browser:
         if self.subject.board is not None:
             self.subject.board.unsubscribe(self._send_marks)
 
-    def enqueue(self, name: str, job: Callable[[], None], mark: int | None = None) -> None:
+    def enqueue(self, name: str, job: Callable[[], None], mark: int | str | None = None) -> None:
         """Let the worker run a job in place of a waiting one of this name, but for changes of
-        marks. Errors are sent to the page: of a change with the number of its mark."""
+        marks. Errors are sent to the page: of a change with the number of its mark, or "keep"."""
 
         def contained() -> None:
             try:
@@ -184,6 +184,8 @@ class Browser:
             self.send("measuring")
             return
         self.send("marks", **facts.marks_facts(self.board, self.subject))
+        if (run := self.board.shown) is not None:
+            self.send("kept", box=run.crop, left_out=run.left_out, shown=run.gaussian_count)
         self.send("changed")  # the page then asks for a picture: it knows where its camera is
 
     def send_keyframes(self) -> None:
@@ -399,6 +401,28 @@ class Undo(BrowserMessage, tag="undo"):
         browser.board.undo()
 
 
+class Keep(BrowserMessage, tag="keep"):
+    """Keep a part of the model: around what is drawn at places of the picture, as ``AddMark``;
+    between other ``sides``, as of ``Box.between``; all of it; or what was kept before."""
+
+    job = CHANGE
+    kind: Literal["box", "polygon", "sides", "all", "undo"]
+    points: Corners = ()
+    sides: tuple[Number, Number, Number, Number, Number, Number] = (0.0,) * 6
+
+    def _act(self, browser: Browser) -> None:
+        board, box = browser.board, None
+        crop = None if board.shown is None else board.shown.crop
+        if self.kind == "undo":
+            return board.keep(Run.undo_keep)
+        if self.kind == "sides":
+            box = Box.between(*self.sides, () if crop is None else crop.outlines)
+        elif self.kind != "all":
+            box = browser.inspection.box_of(self.kind, self.points)
+            box = box if crop is None else box.within(crop)
+        board.keep(lambda run: run.keep(box))
+
+
 class GoToPhoto(BrowserMessage, tag="photo"):
     """Choose the captured view that the modes with photos show, by its index."""
 
@@ -469,7 +493,7 @@ class RenderVideo(BrowserMessage, tag="video"):
 
 AnyMessage: TypeAlias = (
     Look | Choose | Hover | ReadPoint | GoToPhoto | FitScales
-    | AddMark | ChangeMark | DeleteMark | Judge | ReferTo | Undo
+    | AddMark | ChangeMark | DeleteMark | Judge | ReferTo | Undo | Keep
     | TakeScreenshot | AddKeyframe | ClearPath | SavePath | RenderVideo
 )  # fmt: skip
 

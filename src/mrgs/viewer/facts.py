@@ -75,6 +75,7 @@ def hello_facts(inspection: Inspection, start: Mapping[str, Any]) -> dict[str, A
             for each in subject.modalities
         ],
         "marks": subject.board is not None,
+        "keeps": subject.board is not None and subject.board.shown is not None,
         "mark_limits": MARK_LIMITS,
         "longest_side_px": LONGEST_SIDE_PX,
         "video_seconds": VIDEO_SECONDS,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+import torch
 from jaxtyping import Float, UInt8
 
 from mrgs.errors import ConfigError
@@ -16,7 +17,7 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.tables import label_text
 from mrgs.pictures.page_data import rounded
 from mrgs.pictures.palette import PaletteName
-from mrgs.scene import THERMAL, Camera, Modality, View
+from mrgs.scene import THERMAL, Box, Camera, Modality, View
 from mrgs.survey import Survey
 from mrgs.viewer.painting import DrawnPicture, MarkLabel, Scales, annotate, compose, measure_scales
 from mrgs.viewer.panes import (
@@ -33,6 +34,9 @@ from mrgs.viewer.panes import (
 from mrgs.viewer.settings import Settings, Subject
 
 PHOTOS_KEPT = 4
+
+BOX_STEPS, SEEN_PERCENT, MARGIN = 300, (1.0, 99.0), 0.05
+"""Of a box to keep: places across, percentiles of their surface, share of its longest side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,18 +168,53 @@ class Inspection:
         board = self.subject.board
         if board is None:
             raise ConfigError("marks need the scene: open the run with it")
+        pane, places = self._places(kind, points)
+        camera = pane.own_camera
+        pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
+        picked = board.picker.pick(kind, camera, pixels)
+        board.edit(lambda marks: marks.adding(kind, **picked))
+        self.point = None
+
+    def box_of(self, kind: MarkKind, points: Sequence[tuple[float, float]]) -> Box:
+        """The box around the surface that the latest picture shows between two places, from 0 to 1;
+        or all above, below and within an outline through places, whose corners are as deep as most
+        of the surface where there is none. ConfigError as for ``add_mark``."""
+        pane, places = self._places(kind, points)
+        assert self.drawn is not None
+        depth = self.drawn.images[self.drawn.panes.index(pane)].depth
+        depth = np.full((1, 1), np.nan) if depth is None else depth
+        camera = pane.camera.resized(*depth.shape[::-1])
+        if self._ball is not None:
+            depth = self._ball.without_background(camera, torch.from_numpy(depth)).numpy()
+        pixels = np.array([place.pixel_in(depth) for place in places])
+        if kind == "box":
+            across = np.linspace(pixels[0], pixels[1], BOX_STEPS).astype(int)
+            pixels = np.stack(np.meshgrid(*across.T), axis=-1).reshape(-1, 2)
+            pixels = pixels[np.isfinite(depth[pixels[:, 1], pixels[:, 0]])]
+        if not len(pixels) or not np.isfinite(depth).any():
+            raise ConfigError("no surface is seen there: draw over the model")
+        z = depth[pixels[:, 1], pixels[:, 0]]
+        z = np.where(np.isfinite(z), z, np.median(depth[np.isfinite(depth)]))
+        found = camera.unproject(pixels + 0.5, z).double().numpy()
+        if kind == "box":
+            low, high = np.percentile(found, SEEN_PERCENT, axis=0)
+            margin = MARGIN * (high - low).max()
+            return Box.between(*(low - margin).tolist(), *(high + margin).tolist())
+        low, high = self.subject.source.run(lambda model: model.gaussians.means.aminmax(dim=0))
+        return Box.around([found[:, :2].tolist()], low[2].item(), high[2].item())
+
+    def _places(
+        self, kind: MarkKind, points: Sequence[tuple[float, float]]
+    ) -> tuple[Pane, list[Place]]:
+        """What is drawn in the latest picture, and in which pane; ConfigError if not in one."""
         if kind == "box" and len(points) != 2:
             raise ConfigError("draw a box from one corner to the opposite one")
         found = [] if self.drawn is None else [self.drawn.place(x, y) for x, y in points]
         places = [place for place in found if place is not None]
         pane = places[0].pane if places else None
         if pane is None or len(places) < len(points) or any(p.pane is not pane for p in places):
-            raise ConfigError("draw the mark within one picture")
-        camera = pane.own_camera
-        pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
-        picked = board.picker.pick(kind, camera, pixels)
-        board.edit(lambda marks: marks.adding(kind, **picked))
-        self.point = None
+            raise ConfigError("draw it within one picture")
+        return pane, places
 
     def _images(self, pane: Pane, moving: bool) -> PaneImages:
         subject = self.subject

@@ -244,7 +244,7 @@ class UncertaintyPictures:
         self._board = board
         self._source = source
         self._temperature = temperature
-        self._of_splats: Float[Tensor, " n"] | None = None
+        self._of_splats: tuple[Tensor, Float[Tensor, " n"]] | None = None  # and their means
         self._lock = threading.Lock()
 
     def images(self, camera: Camera) -> PaneImages:
@@ -253,11 +253,11 @@ class UncertaintyPictures:
         meter = self._board.uncertainty
         assert meter is not None
         with self._lock:
-            if self._of_splats is None:
-                means = self._source.run(lambda model: model.gaussians.means.detach().cpu())
-                found = meter.of_photos(means.float().numpy())
-                self._of_splats = torch.from_numpy(found)
-            of_splats = self._of_splats
+            means = self._source.run(lambda model: model.gaussians.means)
+            if self._of_splats is None or self._of_splats[0] is not means:
+                found = meter.of_photos(means.detach().cpu().float().numpy())
+                self._of_splats = means, torch.from_numpy(found)
+            _, of_splats = self._of_splats
         blend, depth = self._source.run(
             lambda model: (_blend_uncertainty(model, camera, of_splats), _depth(model, camera))
         )

@@ -196,7 +196,7 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
         note,
         run.camera_response,
     )
-    board = board_of(subject, CameraSpread.of_run(run))
+    board = board_of(subject, CameraSpread.of_run(run), run)
     subject = replace(subject, board=board, uncertainty=uncertainty_of(subject, board))
     camera = start_camera(scene, run.model)
     viewer = Viewer(subject, start_at(camera, scene), host, port)
@@ -211,8 +211,16 @@ def title_of(folder: Path, scene: str) -> str:
     return own if own.startswith(scene) else f"{scene}, {own}"
 
 
-def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
-    """The marks in a run's folder, measured in the model that is shown."""
+def board_of(subject: Subject, spread: CameraSpread, run: Run | None = None) -> MarkBoard:
+    """The marks in a run's folder, measured in what is shown; the ``run`` if parts can be kept."""
+    store, instruments = MarkStore(subject.folder, spread), partial(instruments_of, subject)
+    if run is None or not isinstance(subject.source, TrainedSource):
+        return MarkBoard(store, instruments)
+    return MarkBoard(store, instruments, run, subject.source.show)
+
+
+def instruments_of(subject: Subject) -> tuple[MarkPicker, Appraiser | None]:
+    """See ``Instruments``."""
 
     def draw(camera: Camera) -> Rendering:
         return subject.source.run(lambda model: render_surface(model, camera, subject))
@@ -225,13 +233,12 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         CaptureSettings.of(subject.scene),
         changes=changes,
     )
-    picker = MarkPicker(meter, subject.scene, by_photos=not changes)
     appraise: Appraiser | None = None
     scene, temperature = subject.scene, subject.temperature
     if scene is not None and not changes:
         readings = PhotoReadings(draw, subject.camera_response, scene.train, temperature)
         appraise = partial(UncertaintyMeter.of, readings, scene, temperature)
-    return MarkBoard(MarkStore(subject.folder, spread), picker, appraise)
+    return MarkPicker(meter, scene, by_photos=not changes), appraise
 
 
 def uncertainty_of(subject: Subject, board: MarkBoard) -> Callable[[Camera], PaneImages] | None:

@@ -176,15 +176,19 @@ MAX_CREDIT_S = 0.5
 
 
 class TrainedSource:
-    """Access to a model that no longer changes."""
+    """Access to a model that no longer changes by itself."""
 
     most_pixels: Mapping[Effort, int] = {"moving": 640, "resting": 1280, "still": 4096}
     """Longest side of a picture, by how long the camera rests."""
 
     def __init__(self, model: Model) -> None:
-        self._model = model
-        self._levels = LevelsOfDetail(model)
         self._lock = threading.Lock()
+        self.show(model)
+
+    def show(self, model: Model) -> None:
+        """Give another model in its place, from the next job on."""
+        with self._lock:
+            self._model, self._levels = model, LevelsOfDetail(model)
 
     def run(self, job: Callable[[Model], Result], moving: Camera | None = None) -> Result:
         """Run a job on the model after those before it; returns its result. ``moving`` is the

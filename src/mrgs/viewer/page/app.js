@@ -116,7 +116,8 @@ class Page {
       point: ({ of }) => this.showPoint(of),
       measuring: () => this.measuring(true),
       marks: (facts) => this.marksChanged(facts),
-      refused: ({ mark, text }) => { if (!this.marks.refuse(mark, text)) this.sayOfMarks(text, true); },
+      kept: (facts) => this.keptPart.show(facts),
+      refused: ({ mark, text }) => { if (mark === "keep" || !this.marks.refuse(mark, text)) this.sayOf(mark === "keep", text, true); },
       limits: ({ of }) => this.limitsChanged(of),
       status: ({ text, failed }) => this.say(text, failed),
       keyframes: ({ text }) => { element("keyframes").textContent = text; },
@@ -154,7 +155,7 @@ class Page {
   }
 
   fillControls() {
-    const { modes, views, choices, marks } = this.facts;
+    const { modes, views, choices, marks, keeps } = this.facts;
     const plain = modes.map((mode, index) => ({ ...mode, index })).filter((mode) => !mode.compares);
     for (const { label, index } of plain) {
       const button = document.createElement("button");
@@ -170,6 +171,7 @@ class Page {
     element("photo-section").hidden = views.length === 0;
     element("measure-section").hidden = !marks;
     element("spot-key").hidden = !marks;
+    element("keep-section").hidden = !keeps;
     if (marks) this.canvas.setAttribute("aria-label", `${this.canvas.getAttribute("aria-label")}, s marks it as a spot`);
   }
 
@@ -188,10 +190,13 @@ class Page {
     pressed("whole", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
     pressed("undo", send("undo"));
     pressed("no-reference", () => this.connection.send("refer_to", { mark: null }));
-    this.drawing = new MarkDrawing((kind, corners) => {
+    this.drawing = new MarkDrawing((kind, corners, keeps) => {
       const points = corners.map((corner) => Object.values(this.shareOf(...corner)));
-      this.connection.send("add_mark", { kind, points });
-    }, (text) => this.sayOfMarks(text, false));
+      this.connection.send(keeps ? "keep" : "add_mark", { kind, points });
+    }, (text, keeps) => this.sayOf(keeps, text, false));
+    this.keptPart = new KeptPart((sides) => this.connection.send("keep", { kind: "sides", sides }));
+    pressed("keep-undo", () => this.connection.send("keep", { kind: "undo" }));
+    pressed("keep-all", () => this.connection.send("keep", { kind: "all" }));
     this.marks = new MarkList(element("mark-list"), this.facts.mark_limits, (type, facts) => this.connection.send(type, facts));
     pressed("screenshot", send("screenshot"));
     pressed("add-keyframe", send("add_keyframe"));
@@ -337,7 +342,7 @@ class Page {
     element("mark-notes").textContent = notes.join(" ");
     element("mark-problems").textContent = problems.join(" ");
     element("no-reference").hidden = !marks.some((mark) => mark.reference);
-    if (!this.drawing.kind) this.sayOfMarks("", false);
+    if (!this.drawing.kind) this.sayOf(false, "", false);
   }
 
   noted(text) {
@@ -350,9 +355,11 @@ class Page {
     element("said").classList.toggle("warning", failed);
   }
 
-  sayOfMarks(text, failed) {
-    element("marks-said").textContent = text;
-    element("marks-said").classList.toggle("warning", failed);
+  // Of what is kept, or of marks.
+  sayOf(keeps, text, failed) {
+    const said = element(keeps ? "keep-said" : "marks-said");
+    said.textContent = text;
+    said.classList.toggle("warning", failed);
   }
 
   ended() {

@@ -9,15 +9,21 @@ const HINTS = {
   polygon: "Click on each corner, then Done or the first corner again.",
 };
 
-// One mark at a time: `onDrawn` receives its kind and its corners in pixels of the picture.
+const KEEP_HINTS = {
+  box: "Drag tightly over what is to be kept: a box around all surface that is seen there, also behind the object.",
+  polygon: "From above, click on each corner of what is to be kept, then Done: all above and below the outline stays.",
+};
+
+// One mark, or what is to be kept, at a time: `onDrawn` receives its kind and its corners in pixels of the picture, and
+// whether they are of what is to be kept, as `say` does of a text.
 class MarkDrawing {
   constructor(onDrawn, say) {
     this.onDrawn = onDrawn;
     this.say = say;
-    this.kind = null;
+    this.tool = null;
     this.selector = element("selector");
     this.over = this.selector.querySelector("svg");
-    for (const button of this.buttons) button.addEventListener("click", () => this.arm(button.dataset.kind));
+    for (const button of this.buttons) button.addEventListener("click", () => this.arm(button));
     element("finish").addEventListener("click", () => this.finish());
     element("cancel").addEventListener("click", () => this.arm(null));
     this.selector.addEventListener("pointerdown", (event) => this.press(event));
@@ -29,15 +35,20 @@ class MarkDrawing {
     });
   }
 
-  get buttons() { return document.querySelectorAll("#mark-tools button"); }
+  get buttons() { return document.querySelectorAll("#mark-tools button, #keep-tools button"); }
 
-  arm(kind) {
-    this.kind = kind === this.kind ? null : kind;
+  get kind() { return this.tool?.dataset.kind ?? this.tool?.dataset.keep ?? null; }
+
+  get keeps() { return this.tool?.dataset.keep !== undefined; }
+
+  arm(tool) {
+    if (this.tool) this.say("", this.keeps);
+    this.tool = tool === this.tool ? null : tool;
     this.corners = [];
     this.pressed = null;
     this.selector.hidden = element("drawing").hidden = !this.kind;
-    for (const button of this.buttons) button.setAttribute("aria-pressed", String(button.dataset.kind === this.kind));
-    this.say(this.kind ? HINTS[this.kind] : "");
+    for (const button of this.buttons) button.setAttribute("aria-pressed", String(button === this.tool));
+    if (this.tool) this.say((this.keeps ? KEEP_HINTS : HINTS)[this.kind], this.keeps);
     this.draw();
   }
 
@@ -70,10 +81,10 @@ class MarkDrawing {
   }
 
   finish() {
-    const { kind, corners } = this;
+    const { kind, corners, keeps } = this;
     if (corners.length < FEWEST_CORNERS[kind]) return;
     this.arm(null);
-    this.onDrawn(kind, corners);
+    this.onDrawn(kind, corners, keeps);
   }
 
   // What is drawn so far, up to where the pointer is.
@@ -229,6 +240,51 @@ class MarkField {
     if (!this.input.value.trim()) return null;
     const number = numberIn(this.input, this.said, `Not saved: ${this.label}`, this.limits);
     return number ?? undefined;
+  }
+}
+
+// What of the model is shown, and the sides of its box as numbers.
+class KeptPart {
+  constructor(onSides) {
+    this.said = element("keep-said");
+    this.inputs = [[], []]; // low and high ends of x, y and z
+    for (const axis of ["x", "y", "z"]) {
+      const row = make("div", "", "row");
+      row.append(make("span", axis));
+      ["from", "to"].forEach((word, end) => {
+        const input = document.createElement("input");
+        Object.assign(input, { type: "text", autocomplete: "off" });
+        input.setAttribute("aria-label", `${axis} ${word}`);
+        input.addEventListener("change", () => this.changed(onSides));
+        this.inputs[end].push(input);
+        row.append(...(end ? [make("span", "to"), input] : [input]));
+      });
+      element("sides").append(row);
+    }
+  }
+
+  // Told again whenever marks have been measured: what is typed or said stays then.
+  show({ box, left_out: leftOut, shown }) {
+    if (this.known === JSON.stringify(box)) return;
+    this.known = JSON.stringify(box);
+    const [low, high, outlines] = box ?? [[], [], []];
+    const share = leftOut / (leftOut + shown);
+    const percent = share > 0 && share < 0.01 ? "less than 1" : String(Math.round(100 * share));
+    const what = outlines.length ? `What is in ${outlines.length > 1 ? `${outlines.length} outlines` : "an outline"} and this box` : "What is in this box";
+    element("kept").textContent = box ? `${what} is shown; ${percent} % of the model is left out.` : "All of the model is shown.";
+    element("sides").hidden = !box;
+    [low, high].forEach((end, i) => end.forEach((number, axis) => {
+      this.inputs[i][axis].value = withMinus(String(Number(number.toPrecision(6))));
+    }));
+    refuse(this.inputs.flat(), this.said, "");
+  }
+
+  changed(onSides) {
+    const inputs = this.inputs.flat();
+    const wrong = inputs.filter(({ value }) => Number.isNaN(numberOf(value)));
+    refuse(inputs, this.said, "");
+    if (wrong.length) refuse(wrong, this.said, "Not changed: a number, such as 2.5.");
+    else onSides(inputs.map(({ value }) => numberOf(value)));
   }
 }
 
