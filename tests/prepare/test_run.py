@@ -173,7 +173,7 @@ def test_control_points_place_the_scene(photos, posed, tmp_path):
     again = prepare(photos, tmp_path / "scene", options)
     assert all(stage.reused for stage in again.stages)
     table.write_text(f"{rows[0]}\nP,1,2,3,shot_99.png,1,1,\n")
-    with pytest.raises(SceneError, match=r"line 2: no photo.*'shot_99.png'"):
+    with pytest.raises(SceneError, match=r"line 2: none of the photos.*'shot_99.png'"):
         prepare(photos, tmp_path / "scene", options)
 
 
