@@ -264,7 +264,7 @@ def test_modules_are_listed_and_written(run, tmp_path, capsys, monkeypatch):
     def listed(opened, size_m, power_w):
         asked.append((size_m, power_w))
         found = {"rows": [{}] * 3, "findings": [1]}
-        return SimpleNamespace(**found, write=lambda folder, language: [page])
+        return SimpleNamespace(**found, write=lambda folder, language, pdf: [page])
 
     monkeypatch.setattr("mrgs.report.modules.module_table", listed)
     given = ["--module", "1.05x1.75", "--power", "400", "--output", str(tmp_path)]

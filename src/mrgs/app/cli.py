@@ -347,10 +347,12 @@ def _diff(command: commands.Diff) -> None:
 
 
 def _modules(command: commands.ListModules) -> None:
+    from mrgs.report.copies import require_packages
     from mrgs.report.modules import module_table
     from mrgs.runs.open import load_run
     from mrgs.system.wording import counted
 
+    require_packages(command.pdf)
     try:
         width, height = (float(side) for side in command.module.split("x"))
     except ValueError:
@@ -360,7 +362,7 @@ def _modules(command: commands.ListModules) -> None:
     table = module_table(run, (width, height), command.power)
     say(f"{counted(len(table.rows), 'module')}, {len(table.findings)} with findings")
     folder = command.output or command.run / "modules"
-    print_exported(folder, table.write(folder, command.language))
+    print_exported(folder, table.write(folder, command.language, command.pdf))
 
 
 def _stated_survey(command: commands.Report) -> Survey | None:

@@ -468,6 +468,8 @@ class ListModules:
     """Output folder; by default RUN/modules."""
     language: Literal["en", "de", "fr"] = "en"
     """Language of the page."""
+    pdf: bool = False
+    """Also write a PDF beside it. Needs mrgs[report]."""
     scene: MovedScene = None
     device: RenderDevice = "auto"
 

@@ -31,6 +31,7 @@ from mrgs.marks.uncertainty import Budget
 from mrgs.pictures.files import write_png
 from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.numbers import number_text
+from mrgs.report.copies import require_packages, write_copies
 from mrgs.report.overview import Style, TemperatureMap, faces_one_side, has_map
 from mrgs.report.sections import LEAST_W_M2, MOST_PIXEL_CM
 from mrgs.report.texts import Language, Texts
@@ -99,9 +100,11 @@ class ModuleTable:
         found = [n for n, row in enumerate(self.rows) if row["finding"]]
         return sorted(found, key=lambda n: (-self.rows[n]["class"], -self.rows[n]["delta_k"]))
 
-    def write(self, folder: str | Path, language: Language = "en") -> list[Path]:
-        """Write ``modules.html``, ``modules.csv``, ``modules.geojson`` and ``modules.png`` into a
-        folder; returns the paths. RunError if a file cannot be written."""
+    def write(self, folder: str | Path, language: Language = "en", pdf: bool = False) -> list[Path]:
+        """Write ``modules.html``, ``modules.csv``, ``modules.geojson``, ``modules.png`` and the
+        page as PDF into a folder; returns the paths. ConfigError if weasyprint is not installed,
+        RunError if a file cannot be written."""
+        require_packages(pdf)
         folder, t = Path(folder), Texts(language)
         facts = [
             {"name": name, **row, **dict(zip("xyz", corners.mean(axis=0).tolist(), strict=True))}
@@ -140,7 +143,8 @@ class ModuleTable:
         csv = write_rows(folder / "modules.csv", list(facts[0]), facts)
         features = zip(facts, marks, strict=True)
         geojson = write_features(folder / "modules.geojson", features, self.scene.world)
-        return [page, csv, geojson, write_png(folder / "modules.png", picture)]
+        png = write_png(folder / "modules.png", picture)
+        return [page, csv, geojson, png, *write_copies(page, pdf)]
 
 
 def module_table(
