@@ -96,7 +96,7 @@ def test_control_points_give_metres_and_axes():
     assert 0.2 < check.error_px < 0.6
     assert check.photos == 8
     assert placed.world.control_m == rms_m(placed.control, "check") == check.off_m
-    assert "GPS and known distances are not used" in placed.text
+    assert "the axes east, north, up." in placed.text
     assert f"RMS of check points: {100 * check.off_m:.2g} cm" in placed.text
 
 

@@ -24,6 +24,7 @@ from mrgs.errors import RunError, SceneError
 from mrgs.prepare import Preparation, PrepareOptions, prepare, stages
 from mrgs.prepare.contract import Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.existing import existing_poses
+from mrgs.prepare.georeference import KnownDistance
 from mrgs.prepare.rig.contract import ChessboardTarget, RigCalibration, RigView, TargetFit
 from mrgs.prepare.run import Steps, locked
 from mrgs.prepare.thermal_camera import read_thermal_camera
@@ -172,6 +173,9 @@ def test_control_points_place_the_scene(photos, posed, tmp_path):
     assert "<td>P5</td><td>check</td>" in page
     again = prepare(photos, tmp_path / "scene", options)
     assert all(stage.reused for stage in again.stages)
+    known = KnownDistance(truth.views[0].name, (1.0, 1.0), (2.0, 2.0), 3.0)
+    made = prepare(photos, tmp_path / "scene", replace(options, known_distance=known))
+    assert "The known distance is not used" in made.page.read_text(encoding="utf-8")
     table.write_text(f"{rows[0]}\nP,1,2,3,shot_99.png,1,1,\n")
     with pytest.raises(SceneError, match=r"line 2: none of the photos.*'shot_99.png'"):
         prepare(photos, tmp_path / "scene", options)

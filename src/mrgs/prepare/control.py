@@ -225,8 +225,8 @@ def place_by_control(
         north=True,
         origin=origin,
         residual_m=None,
-        text=f"{len(fitted)} control points give metres and the axes east, north, up; GPS and "
-        f"known distances are not used.{_rms(off)}",
+        text=f"{len(fitted)} control points give metres and the axes east, north, up"
+        f"{'; GPS is not used' if gps else ''}.{_rms(off)}",
         warnings=warnings,
         scale_error=sigma_m / float(np.linalg.norm(target - target.mean(axis=0))),
         offset=offset,

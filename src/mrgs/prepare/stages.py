@@ -131,7 +131,11 @@ def scale_and_north(work: Work) -> StageSummary:
         adjust = None
         if not as_given and (sfm / MODEL_FOLDER).is_dir():
             adjust = partial(adjusted, sfm, found.images, work.progress)
-        return place_by_control(found, control, gps, adjust, as_given=as_given)
+        moved, placed = place_by_control(found, control, gps, adjust, as_given=as_given)
+        if distance is None:
+            return moved, placed
+        unused = "The known distance is not used beside control points and scale bars."
+        return moved, replace(placed, warnings=(*placed.warnings, unused))
 
     moved, work.georeference = work.cache.get(
         "scale and north",
