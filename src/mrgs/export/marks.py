@@ -90,6 +90,7 @@ def write_kml(path: Path, found: Sequence[Feature], system: CoordinateSystem) ->
     """Write marks with their readings for Google Earth and others, from a coordinate system on
     Earth; returns the path. RunError if the file cannot be written."""
     with replacing(path) as temporary:
+        # LIBKML refuses polygons that are a line in plan, as those on a wall are.
         _write_layer(temporary, found, system, driver="KML", layer="marks")
     return path
 
