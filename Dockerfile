@@ -19,7 +19,8 @@ COPY pyproject.toml README.md CHANGELOG.md CITATION.cff LICENSE /src/
 COPY src /src/src
 COPY examples /src/examples
 COPY plugins /src/plugins
-RUN pip install --no-cache-dir --constraint /src/constraints.txt "/src[all]" /src/plugins/thermonerf
+RUN pip install --no-cache-dir --constraint /src/constraints.txt "/src[all]" /src/plugins/compare \
+        /src/plugins/thermonerf
 
 # Compiled kernels are kept below HOME; any user may run the image.
 ENV HOME=/tmp
