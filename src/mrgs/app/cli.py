@@ -7,7 +7,8 @@ import difflib
 import inspect
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial, reduce
 from importlib.metadata import version
@@ -406,17 +407,14 @@ def _keep_survey(folder: Path, stated: Survey | None) -> None:
 
 def compare(command: commands.CompareMethods) -> None:
     """Train and score methods side by side."""
-    try:
+    with _from_checkout(
+        "mrgs_compare",
+        "mrgs compare is a package of its own: run `pip install ./plugins/compare` in a source "
+        "checkout",
+    ):
         from mrgs_compare import Options, Variant
         from mrgs_compare import compare as compare_methods
         from mrgs_compare.table import to_plain
-    except ModuleNotFoundError as error:
-        if error.name != "mrgs_compare":
-            raise
-        raise ConfigError(
-            "mrgs compare is a package of its own: run `pip install ./plugins/compare` in a "
-            "source checkout"
-        ) from None
 
     variants = _named_paths("--variants", command.variants, "wide=wide.yaml")
     given = (Variant.from_text(name, read_text(file), str(file)) for name, file in variants.items())
@@ -482,6 +480,17 @@ def _named_paths(option: str, pairs: tuple[str, ...], example: str) -> dict[str,
     return named
 
 
+@contextmanager
+def _from_checkout(package: str, remedy: str) -> Iterator[None]:
+    """For imports from a package that comes with a source checkout only; ConfigError without it."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name != package:
+            raise
+        raise ConfigError(remedy) from None
+
+
 def _bundled_scene() -> Path:
     """Folder of the bundled scene, in the installed package or the checkout."""
     package = Path(__file__).resolve().parents[1]
@@ -494,16 +503,13 @@ def _bundled_scene() -> Path:
 
 
 def _synth(command: commands.Synth) -> None:
-    try:
+    with _from_checkout(
+        "mrgs_synth",
+        "the scene generator comes with a source checkout only: run `pip install -e '.[synth]'` "
+        "there",
+    ):
         from mrgs_synth import synthesize
         from mrgs_synth.solar_plant import PlantOptions, synthesize_plant
-    except ModuleNotFoundError as error:
-        if error.name != "mrgs_synth":
-            raise
-        raise ConfigError(
-            "the scene generator comes with a source checkout only: run `pip install -e "
-            "'.[synth]'` there"
-        ) from None
 
     if not 0 <= command.seed <= MAX_SYNTH_SEED:
         raise ConfigError(f"the seed must be from 0 to {MAX_SYNTH_SEED:,}, not {command.seed}")

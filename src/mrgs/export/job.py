@@ -26,6 +26,7 @@ from mrgs.export.splats import (
 from mrgs.export.surface_points import Columns, SurfacePoints, surface_points
 from mrgs.maps.crs import place_facts
 from mrgs.maps.options import MapOptions
+from mrgs.marks.measure import MarkReading
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import RunMarks, thermal_cameras
@@ -92,6 +93,11 @@ class ExportJob:
     def modalities(self) -> tuple[Modality, ...]:
         """The modalities to write, RGB first."""
         return self.baked.modalities
+
+    @cached_property
+    def readings(self) -> list[MarkReading]:
+        """The run's marks, measured once; none without a run."""
+        return [] if self.marks is None else self.marks.measure()
 
     @cached_property
     def points(self) -> SurfacePoints:

@@ -69,7 +69,7 @@ def features_of(job: ExportJob) -> list[Feature]:
     if marks is None:
         return []
     known, found = marks.run.temperature, list[Feature]()
-    for reading in marks.measure():
+    for reading in job.readings:
         facts = facts_of_reading(reading, known, marks.world, marks.assumptions_of(reading))
         label = f"{reading.mark.name} {value_text(reading.mean, known, unit=True)}"
         found.append((facts, label, reading.mark))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import product
@@ -293,56 +294,50 @@ def write_geotiff(
     """Write the bands of a map, their units by their names, in a coordinate system (WKT) with tags,
     as a cloud-optimised GeoTIFF without loss; returns the path. ConfigError if rasterio is not
     installed, RunError if the file cannot be written."""
-    rasterio = require_rasterio()
+    color = require_rasterio().enums.ColorInterp
     values = {"dtype": "float32", "nodata": float("nan"), "count": len(units)}
-    color = rasterio.enums.ColorInterp
-    with replacing(path) as temporary:
-        plain = temporary.with_name("plain.tif")  # GDAL writes these as copies only
-        try:
-            with rasterio.open(plain, "w", **values, **_profile(grid, wkt)) as file:
-                file.write(bands)
-                file.update_tags(**tags)
-                colors = {name: color[name] for name in ("red", "green", "blue")}
-                file.colorinterp = [colors.get(name, color.undefined) for name in units]
-                for number, (name, unit) in enumerate(units.items(), start=1):
-                    file.set_band_description(number, name)
-                    file.set_band_unit(number, unit)
-            rasterio.shutil.copy(plain, temporary, **CLOUD_OPTIMISED)
-        except gdal_errors() as error:
-            raise OSError(0, f"GDAL: {error}") from error
+    with _copied(path, grid, wkt, values, CLOUD_OPTIMISED) as file:
+        file.write(bands)
+        file.update_tags(**tags)
+        colors = {name: color[name] for name in ("red", "green", "blue")}
+        file.colorinterp = [colors.get(name, color.undefined) for name in units]
+        for number, (name, unit) in enumerate(units.items(), start=1):
+            file.set_band_description(number, name)
+            file.set_band_unit(number, unit)
     return path
 
 
 def write_kmz(path: Path, pixels: UInt8[np.ndarray, "h w 4"], grid: MapGrid, wkt: str) -> Path:
     """Write the picture of a map (RGBA) in a coordinate system on Earth (WKT) as an overlay for
     Google Earth and others, in tiles; returns the path. Errors as for ``write_geotiff``."""
-    rasterio = require_rasterio()
-    with replacing(path) as temporary:
-        plain = temporary.with_name("plain.tif")
-        try:
-            with rasterio.open(plain, "w", dtype="uint8", count=4, **_profile(grid, wkt)) as file:
-                file.write(pixels.transpose(2, 0, 1))
-            overlay = {"driver": "KMLSUPEROVERLAY", "format": "PNG", "name": path.stem}
-            rasterio.shutil.copy(plain, temporary, **overlay)
-        except gdal_errors() as error:
-            raise OSError(0, f"GDAL: {error}") from error
+    overlay = {"driver": "KMLSUPEROVERLAY", "format": "PNG", "name": path.stem}
+    with _copied(path, grid, wkt, {"dtype": "uint8", "count": 4}, overlay) as file:
+        file.write(pixels.transpose(2, 0, 1))
     return path
 
 
-def _profile(grid: MapGrid, wkt: str) -> dict[str, Any]:
-    """What rasterio takes to write a map as GeoTIFF, but for its values."""
+@contextmanager
+def _copied(
+    path: Path, grid: MapGrid, wkt: str, values: Mapping[str, Any], made: Mapping[str, Any]
+) -> Iterator[Any]:
+    """Give a plain GeoTIFF of a map to write into, of which GDAL then makes the file with the
+    options ``made``: it writes such formats as copies only. WriteError if that fails."""
     rasterio = require_rasterio()
+    # Copies raise GDAL's own errors.
+    failures = rasterio.errors.RasterioError, import_module("rasterio._err").CPLE_BaseError
     edges = rasterio.Affine(grid.pixel_m, 0.0, grid.left, 0.0, -grid.pixel_m, grid.top)
-    return {
+    profile = {
         "driver": "GTiff", "BIGTIFF": "IF_SAFER", "width": grid.width, "height": grid.height,
         "crs": rasterio.crs.CRS.from_wkt(wkt), "transform": edges,
     }  # fmt: skip
-
-
-def gdal_errors() -> tuple[type[Exception], ...]:
-    """What rasterio raises where GDAL fails: copies raise GDAL's own."""
-    rasterio = require_rasterio()
-    return rasterio.errors.RasterioError, import_module("rasterio._err").CPLE_BaseError
+    with replacing(path) as temporary:
+        plain = temporary.with_name("plain.tif")
+        try:
+            with rasterio.open(plain, "w", **profile, **values) as file:
+                yield file
+            rasterio.shutil.copy(plain, temporary, **made)
+        except failures as error:
+            raise OSError(0, f"GDAL: {error}") from error
 
 
 STOPS = 16

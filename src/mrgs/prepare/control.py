@@ -190,18 +190,10 @@ def place_by_control(
         if not bars:
             usable = f"{counted(len(fitted), 'control point')} can be used; mark {MIN_POINTS}"
             raise _error(" ".join((f"{usable}, each in two photos.", *warnings)))
-        lengths = [float(np.linalg.norm(seen[a].place - seen[b].place)) for a, b, _ in bars]
-        for (a, b, metres), length in zip(bars, lengths, strict=True):
-            if not metres * length > 0:
-                raise _error(f"{a} and {b} are in one place; correct their coordinates or marks")
-        scale = float(np.dot([bar[2] for bar in bars], lengths) / np.dot(lengths, lengths))
+        scale, off, text = _scale_of(bars, seen)
         placed = georeference(found, gps, scale, as_given=as_given)
-        off = _residuals(bars, seen, Similarity(scale, np.eye(3), np.zeros(3)))[-len(bars) :]
-        off = off if len(bars) > 1 else ()  # one length fits itself
-        stated = "the stated length" if len(bars) == 1 else f"{len(bars)} stated lengths"
-        text = placed.text.replace(KNOWN, f"The scale is that of {stated}.")
-        warnings += placed.warnings
-        return found, replace(placed, text=f"{text}{_rms(off)}", warnings=warnings, control=off)
+        text, warnings = placed.text.replace(KNOWN, text) + _rms(off), warnings + placed.warnings
+        return found, replace(placed, text=text, warnings=warnings, control=off)
     similarity = _fit([*fitted], np.array([seen[name].place for name in fitted]), target, found)
     if adjust is not None:
         found = adjust(similarity, [*fitted.values()])
@@ -232,6 +224,22 @@ def place_by_control(
         offset=offset,
         control=off,
     )
+
+
+def _scale_of(
+    bars: Sequence[tuple[str, str, float]], seen: Mapping[str, _Seen]
+) -> tuple[float, tuple[ControlResidual, ...], str]:
+    """The scale that fits stated lengths best, by how much they are off, and a sentence. SceneError
+    if the ends of one are in one place."""
+    lengths = [float(np.linalg.norm(seen[a].place - seen[b].place)) for a, b, _ in bars]
+    for (a, b, metres), length in zip(bars, lengths, strict=True):
+        if not metres * length > 0:
+            raise _error(f"{a} and {b} are in one place; correct their coordinates or marks")
+    scale = float(np.dot([bar[2] for bar in bars], lengths) / np.dot(lengths, lengths))
+    if len(bars) == 1:  # one length fits itself
+        return scale, (), "The scale is that of the stated length."
+    off = _residuals(bars, seen, Similarity(scale, np.eye(3), np.zeros(3)))[-len(bars) :]
+    return scale, off, f"The scale is that of {len(bars)} stated lengths."
 
 
 def _error(text: str) -> SceneError:

@@ -188,8 +188,8 @@ def render_pane(
 def shown_image(
     modality: Modality, image: Float[Tensor, "h w c"], temperature: TemperatureRange | None
 ) -> ShownImage:
-    """A modality's image [H, W, C] as colours [H, W, 3]; one channel as values in its unit, [H,
-    W]."""
+    """A modality's image [H, W, C] as colours [H, W, 3]; one channel as values [H, W] in its
+    unit."""
     one = modality.channels == 1
     return shown_values(modality, image, temperature) if one else to_rgb8(image)
 
