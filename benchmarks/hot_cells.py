@@ -10,6 +10,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,8 +18,8 @@ import numpy as np
 
 from mrgs.report.modules import ModuleTable, module_table
 from mrgs.runs.open import load_run
-from mrgs_synth.solar_plant.flight import footprint_m
-from mrgs_synth.solar_plant.layout import MODULE_M, TABLE_MODULES, Plant, drawn_plant
+from mrgs_synth.solar_plant import PlantOptions
+from mrgs_synth.solar_plant.layout import MODULE_M, TABLE_MODULES, Plant
 
 Numbers = tuple[int, int, int]
 FAR = 0.5
@@ -44,9 +45,8 @@ class Errors(NamedTuple):
 def plant_of(scene: Path) -> tuple[Plant, list[dict[str, Any]]]:
     """The plant that a generated scene shows, and its defects."""
     facts = json.loads((scene / "truth/synth.json").read_text(encoding="utf-8"))
-    border = 1.5 * max(footprint_m(facts["width"], facts["height"]))
-    rng = np.random.default_rng([facts["seed"], 0])
-    plant = drawn_plant(facts["rows"], facts["modules"], border, rng)
+    chosen = {each.name: facts[each.name] for each in fields(PlantOptions)}
+    plant = PlantOptions(**chosen).plant()
     defects = json.loads((scene / "truth/defects.json").read_text(encoding="utf-8"))["defects"]
     return plant, defects
 

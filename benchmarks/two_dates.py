@@ -1,7 +1,7 @@
 """How well `mrgs diff` finds known changes: `python -m benchmarks.two_dates FOLDER SEED...`
 
 FOLDER has for each seed the scenes ``aSEED`` and ``bSEED``, which ``python -m benchmarks.two_dates
-FOLDER SEED:KIND ...`` generates where they are missing (``mrgs_synth.dates``), and the runs
+FOLDER SEED:KIND ...`` generates (KIND of ``mrgs synth --scene``), and the runs
 ``raSEED`` and ``rbSEED`` that ``mrgs train`` trained on them. Prints what was found of the known
 changes, which of the reported ones are none, how well the runs were aligned, and how often the ± of
 ΔT of changes and of random spots holds the truth.
@@ -214,15 +214,24 @@ def _held(errors: list[tuple[float, float]]) -> str:
     )
 
 
+def _generate(folders: tuple[Path, Path], kind: str, seed: int) -> None:
+    if kind == "solar-plant":
+        from mrgs_synth.solar_plant import PlantOptions, synthesize_mornings
+
+        synthesize_mornings(*folders, PlantOptions(rows=3, modules=30, eval_views=2, seed=seed))
+    else:
+        from mrgs_synth.dates import synthesize_dates
+
+        synthesize_dates(*folders, scene=kind, seed=seed)
+
+
 def main(arguments: list[str]) -> None:
     """Compare the runs of all seeds and print the sums."""
     folder, outcomes = Path(arguments[0]), []
     for argument in arguments[1:]:
         seed, _, kind = argument.partition(":")
         if kind:
-            from mrgs_synth.dates import synthesize_dates
-
-            synthesize_dates(folder / f"a{seed}", folder / f"b{seed}", scene=kind, seed=int(seed))
+            _generate((folder / f"a{seed}", folder / f"b{seed}"), kind, int(seed))
             continue
         outcome = compare(folder, seed)
         for text in outcome.missed:

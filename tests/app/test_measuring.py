@@ -261,15 +261,24 @@ def test_modules_are_listed_and_written(run, tmp_path, capsys, monkeypatch):
     page.write_text("page")
     asked = []
 
-    def listed(opened, size_m, power_w):
-        asked.append((size_m, power_w))
+    def listed(opened, size_m, power_w, yield_kwh):
+        asked.append((size_m, power_w, yield_kwh))
         found = {"rows": [{}] * 3, "findings": [1]}
         return SimpleNamespace(**found, write=lambda folder, language, pdf: [page])
 
     monkeypatch.setattr("mrgs.report.modules.module_table", listed)
-    given = ["--module", "1.05x1.75", "--power", "400", "--output", str(tmp_path)]
+    given = [
+        "--module",
+        "1.05x1.75",
+        "--power",
+        "400",
+        "--yield-kwh",
+        "950",
+        "--output",
+        str(tmp_path),
+    ]
     assert main(["modules", str(run), *given]) == 0
-    assert asked == [((1.05, 1.75), 400.0)]
+    assert asked == [((1.05, 1.75), 400.0, 950.0)]
     said = capsys.readouterr().out
     assert "3 modules, 1 with findings" in said
     assert "modules.html" in said

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from mrgs.data import load_scene
@@ -17,7 +18,13 @@ from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
 from mrgs.maps.crs import coordinate_system
 from mrgs.prepare.contract import Georeference, Reconstruction, rms_m
-from mrgs.prepare.control import ControlPoint, ControlPoints, place_by_control, read_control
+from mrgs.prepare.control import (
+    ControlPoint,
+    ControlPoints,
+    at_chequers,
+    place_by_control,
+    read_control,
+)
 from mrgs.prepare.georeference import apply, centres, georeference
 from mrgs.scene import PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
@@ -98,6 +105,49 @@ def test_control_points_give_metres_and_axes():
     assert placed.world.control_m == rms_m(placed.control, "check") == check.off_m
     assert "the axes east, north, up." in placed.text
     assert f"RMS of check points: {100 * check.off_m:.2g} cm" in placed.text
+
+
+def targets(view: str, names: str = "ABCDK", radius_px: float = 7.0) -> np.ndarray:
+    """A view's image with a round chequer target at each place, turned and sheared."""
+    rng = np.random.default_rng([int(view[1:]), 1])
+    fine = 5
+    y, x = (np.mgrid[: 300 * fine, : 400 * fine] + 0.5) / fine
+    image = 90 + 4 * rng.normal(size=(300, 400)).repeat(fine, 0).repeat(fine, 1)
+    for name in names:
+        u, v = marks(PLACES[name])[view]
+        turn, lean = rng.uniform(0, np.pi), rng.uniform(1.2, 1.9)
+        a = np.cos(turn) * (x - u) + np.sin(turn) * (y - v)
+        b = np.cos(turn + lean) * (x - u) + np.sin(turn + lean) * (y - v)
+        near = np.hypot(x - u, y - v) < radius_px
+        image[near] = np.where(a * b > 0, 210, 35)[near]
+    image = image.reshape(300, fine, 400, fine).mean(axis=(1, 3))
+    return gaussian_filter(image, 0.6).astype(np.float32)
+
+
+def test_marks_of_chequer_targets_are_moved_to_their_middle():
+    rough = surveyed(noise_px=1.2)
+    for point in rough.points.values():
+        point.chequer = True
+    found, warnings = at_chequers(rough, targets)
+    assert not warnings
+    exact = np.array([[*marks(place).values()] for place in PLACES.values()])
+    moved = np.array([[*point.marks.values()] for point in found.points.values()])
+    assert np.linalg.norm(moved - exact, axis=-1).max() < 0.15
+    check_m = [
+        place_by_control(displaced(wall()), each, {})[1].control[-1].off_m
+        for each in (rough, found)
+    ]
+    assert check_m[1] < check_m[0] / 5
+
+
+def test_a_mark_beside_no_chequer_target_counts_as_it_is():
+    control = surveyed("AK")
+    control.points["A"].chequer = True
+    found, warnings = at_chequers(control, lambda view: targets(view, "K" if view == "v3" else "A"))
+    assert warnings == ("A is no chequer target in v3: its mark there counts as it is.",)
+    assert found.points["A"].marks["v3"] == control.points["A"].marks["v3"]
+    assert found.points["A"].marks["v2"] != control.points["A"].marks["v2"]
+    assert found.points["K"] == control.points["K"]
 
 
 def test_residuals_are_found_minus_stated_along_the_axes():

@@ -31,9 +31,9 @@ def seen_plant() -> np.ndarray:
     return celsius[:, None, None] + rng.normal(0, 0.1, (MODULES, LONG, SHORT))
 
 
-def judged(celsius, irradiance=800.0, power=400.0, pixel=0.05):
+def judged(celsius, irradiance=800.0, power=400.0, pixel=0.05, kwh=1000.0):
     seen = _Seen(celsius, np.full(celsius.shape, 0.3), np.full(MODULES, 7.0), STEP)
-    return list(_judged(seen, NUMBERS, Budget(), irradiance, power, pixel))
+    return list(_judged(seen, NUMBERS, Budget(), irradiance, power, kwh, pixel))
 
 
 def test_sound_modules_have_no_findings():
@@ -63,6 +63,7 @@ def test_what_is_hot_has_a_name_a_class_and_a_loss(place, kelvin, finding, sever
     assert row["delta_k"] == pytest.approx(kelvin, abs=0.8)
     assert row["delta_1000_k"] == pytest.approx(row["delta_k"] * 1000 / 800)
     assert row["lost_w"] == pytest.approx(lost * 400 * 0.8)
+    assert row["lost_kwh"] == pytest.approx(lost * 400)
     assert abs(row["delta_k"] - kelvin) < row["uncertainty_k"]
 
 
@@ -94,6 +95,8 @@ def test_without_sun_enough_nothing_is_normalised(irradiance):
     assert row["class"] == 2
     assert (row["lost_w"] is None) == (irradiance is None)
     assert judged(celsius, 700.0, None)[3]["lost_w"] is None
+    assert judged(celsius, 700.0, None)[3]["lost_kwh"] is None
+    assert judged(celsius, kwh=None)[3]["lost_kwh"] is None
 
 
 def test_thirds_and_neighbours_that_no_photo_shows_do_not_count():
@@ -146,13 +149,16 @@ def table(opened: Run) -> ModuleTable:
     survey = Survey(irradiance_w_m2=800.0)
     size = (1.0, 1.77)
     picture = TemperatureMap(drawn, False, True)
-    return ModuleTable(scene, picture, names, corners, tuple(rows), size, 0.05, survey, 400.0, ())
+    return ModuleTable(
+        scene, picture, names, corners, tuple(rows), size, 0.05, survey, 400.0, 1000.0, ()
+    )
 
 
 def test_the_table_is_written_as_page_csv_geojson_and_map(table, tmp_path):
     page, table_file, geojson, picture = table.write(tmp_path, "de")
     text = page.read_text(encoding="utf-8")
     assert "40 Module von 1,00 × 1,77 m in 2 Reihen; 0 der Klasse 2, 1 der Klasse 3." in text
+    assert "Im Jahr gehen etwa 0,24 MWh verloren" in text
     assert "R2.1-6" in text
     assert "heiße Zelle" in text
     assert "R2.1-7<" not in text
@@ -180,13 +186,14 @@ def test_a_run_without_celsius_metres_or_a_view_from_above_is_refused(opened: Ru
 
 
 @pytest.mark.parametrize(
-    ("size", "power", "message"),
+    ("size", "power", "kwh", "message"),
     [
-        ((0.0, 1.7), None, "sides are"),
-        ((1.0, float("nan")), None, "sides are"),
-        ((1.0, 1.7), 0.0, "power"),
+        ((0.0, 1.7), None, None, "sides are"),
+        ((1.0, float("nan")), None, None, "sides are"),
+        ((1.0, 1.7), 0.0, None, "power"),
+        ((1.0, 1.7), 400.0, 1.0, "100 to 3,000 kWh"),
     ],
 )
-def test_modules_that_cannot_be_are_refused(opened, size, power, message):
+def test_modules_that_cannot_be_are_refused(opened, size, power, kwh, message):
     with pytest.raises(ConfigError, match=message):
-        module_table(opened, size, power)
+        module_table(opened, size, power, kwh)

@@ -13,7 +13,7 @@ from mrgs.data.earth import enu
 from mrgs.data.radiometric.exif import read_exif
 from mrgs.errors import ConfigError
 from mrgs.scene import THERMAL
-from mrgs_synth.solar_plant import PlantOptions, synthesize_plant
+from mrgs_synth.solar_plant import PlantOptions, synthesize_mornings, synthesize_plant
 from mrgs_synth.solar_plant.cast import photograph, surfaces_of
 from mrgs_synth.solar_plant.flight import ORIGIN, survey
 from mrgs_synth.solar_plant.layout import PITCH_M, Plant, drawn_plant
@@ -121,3 +121,28 @@ def test_defects_are_listed(small_plant: Path) -> None:
     listed = json.loads((small_plant / "truth/defects.json").read_text())["defects"]
     assert {each["kind"] for each in listed} == {"cell", "substring", "module"}
     assert all(each["delta_c"] > 2 and min(each["size_m"]) > 0.1 for each in listed)
+
+
+def test_two_mornings_of_a_plant(tmp_path: Path) -> None:
+    found = synthesize_mornings(tmp_path / "a", tmp_path / "b", SMALL)
+    first, second = load_scene(tmp_path / "a"), load_scene(tmp_path / "b")
+    facts = json.loads((tmp_path / "a/truth/changes.json").read_text())
+    assert {each.kind for each in found} >= {"new", "gone", "same"}
+    assert [each["kind"] for each in facts["changes"]] == [each.kind for each in found]
+    [placed] = facts["second_from_first"]
+    assert placed["scale"] == 1.0
+    assert 0 < np.linalg.norm(placed["shift"]) < 5
+    assert len(first.train) == len(second.train)
+    change = next(each for each in found if each.kind == "new" and each.before.radius_m > 0.8)
+    seen = []
+    for view in first.train:
+        pixel, _ = view.camera.project(torch.tensor([change.center], dtype=torch.float64))
+        if view.camera.contains(pixel)[0]:
+            column, row = pixel[0].long().tolist()
+            before, after = (
+                np.asarray(Image.open(tmp_path / f"a/truth/{kind}/{view.name}.tiff"))
+                for kind in ("temperature", "after")
+            )
+            seen.append(((after - before)[row, column], np.median(after - before)))
+    beside = np.median([at - common for at, common in seen])
+    assert beside == pytest.approx(change.after.kelvin, abs=1.5)

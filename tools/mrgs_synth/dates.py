@@ -9,7 +9,7 @@ date, °C, and ``truth/changes.json`` lists the patches.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -133,9 +133,23 @@ def _write_truth(
     frame: Frame,
 ) -> None:
     triangles = Triangles.of(second.solids)
+    exact = {
+        name: exact_temperature(camera, second, triangles, RAYS_PER_SIDE)
+        for name, camera in cameras.items()
+    }
+    write_changes(folder, changes, exact, frame)
+
+
+def write_changes(
+    folder: Path,
+    changes: Sequence[Change],
+    exact_c: Mapping[str, Float[np.ndarray, "h w"]],
+    frame: Frame,
+) -> None:
+    """Write ``truth/after`` of named views, and ``truth/changes.json``, into a scene's folder;
+    ``frame`` is that of the second date."""
     (folder / "truth/after").mkdir()
-    for name, camera in cameras.items():
-        exact = exact_temperature(camera, second, triangles, RAYS_PER_SIDE)
+    for name, exact in exact_c.items():
         write_float_tiff(folder / f"truth/after/{name}.tiff", exact, TEMPERATURE_STEP_C)
     placed = {"scale": frame.scale, "rotation": frame.rotation.tolist()}
     facts = {"changes": [_json(each) for each in changes]}

@@ -360,7 +360,7 @@ def _modules(command: commands.ListModules) -> None:
         raise ConfigError(f"--module {command.module}: write it as 1.05x1.75, in metres") from None
     run = cropped(load_run(command.run, command.scene, command.device))
     note_unfinished(run)
-    table = module_table(run, (width, height), command.power)
+    table = module_table(run, (width, height), command.power, command.yield_kwh)
     say(f"{counted(len(table.rows), 'module')}, {len(table.findings)} with findings")
     folder = command.output or command.run / "modules"
     print_exported(folder, table.write(folder, command.language, command.pdf))

@@ -452,7 +452,7 @@ class Diff:
 
 @dataclass(frozen=True)
 class ListModules:
-    """List the modules of a solar plant: place, ΔT, class, lost power.
+    """List the modules of a solar plant: place, ΔT, class, lost power and energy.
 
     Finds the modules in the map from above by their grid, numbers them by row and place, compares
     each with its neighbours and classifies it by IEC TS 62446-3: modules.html, CSV, GeoJSON and a
@@ -464,6 +464,8 @@ class ListModules:
     """Sides of a module, such as 1.05x1.75."""
     power: Maybe[float] = None
     """Power of a module at 1,000 W/m², W."""
+    yield_kwh: Maybe[float] = None
+    """Energy that a kW of sound modules gives in a year, kWh."""
     output: Maybe[Path] = None
     """Output folder; by default RUN/modules."""
     language: Literal["en", "de", "fr"] = "en"

@@ -13,7 +13,7 @@ from typing import Annotated, Literal, NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from mrgs.data.earth import enu, on_earth
 from mrgs.data.files import composed, table_rows
@@ -21,6 +21,7 @@ from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import ConfigError, SceneError, scene_error
 from mrgs.prepare.contract import ControlResidual, Georeference, Reconstruction, rms_m
 from mrgs.prepare.georeference import KNOWN, centres, georeference, up_of_cameras
+from mrgs.prepare.rig.chessboard import saddle_near
 from mrgs.scene.similarity import Points, Similarity, fit_similarity
 from mrgs.system.wording import counted, shown
 
@@ -37,6 +38,7 @@ contradict each other if their RMS residual is a larger share of their spread.""
 DOUBTFUL = 2.5
 """A control point that is off by so many times the others' RMS is worth a warning."""
 
+_LEAST_REACH_PX = 4.0
 LARGEST_ERROR, LEAST_ANGLE_DEG = 0.01, 2.0
 """Marks of one place meet better, as a share of the image's width, and its rays differ by more."""
 
@@ -61,17 +63,20 @@ class _Row(msgspec.Struct):
     role: Literal["control", "check"] = "control"
     crs: str = ""
     to: str = ""
+    target: Literal["", "chequer"] = ""
     length: Annotated[float, msgspec.Meta(gt=0, le=1e6)] | None = None
 
 
 @dataclass
 class ControlPoint:
     """Pixels of a place by view, x and y from the image's upper left corner; its surveyed metres
-    east, north and up, None for ends of scale bars; and whether it is only compared."""
+    east, north and up, None for ends of scale bars; whether it is only compared; and whether it is
+    where the quarters of a chequer target meet."""
 
     marks: Marks = field(default_factory=dict)
     place: Place | None = None
     check: bool = False
+    chequer: bool = False
 
 
 @dataclass
@@ -85,7 +90,7 @@ class ControlPoints:
 
 def read_control(file: Path, photos: Photos) -> ControlPoints:
     """The points in a table, a line an observation (name, east, north, height, view, x, y; perhaps
-    role and crs) or a scale bar (name, to, length); or in OpenDroneMap's ``gcp_list.txt``.
+    role, crs and target) or a scale bar (name, to, length); or in OpenDroneMap's ``gcp_list.txt``.
     ``photos`` are view, width and height by a photo's names in lower case. SceneError, with the
     line, if one cannot be read or contradicts another, or names no photo or a pixel outside of it;
     if coordinates are degrees, or a point lacks what it needs."""
@@ -140,6 +145,7 @@ def _add(cells: dict[str, str], control: ControlPoints, photos: Photos) -> None:
     place = [each for each in (row.east, row.north, row.height) if each is not None]
     point = control.points.setdefault(name := row.name or f"{place}", ControlPoint())
     point.check |= row.role == "check"
+    point.chequer |= row.target == "chequer"
     if place:
         if len(place) < 3 or point.place not in (None, (*place,)):
             raise ValueError(f"{name} lacks a coordinate, or has others above; correct one of them")
@@ -155,6 +161,27 @@ def _add(cells: dict[str, str], control: ControlPoints, photos: Photos) -> None:
     if view in point.marks:
         raise ValueError(f"{name} is marked in {row.view} twice; delete one of the lines")
     point.marks[view] = row.x, row.y
+
+
+def at_chequers(
+    control: ControlPoints, grey: Callable[[str], Float32[np.ndarray, "h w"]]
+) -> tuple[ControlPoints, tuple[str, ...]]:
+    """The points with the marks of chequer targets moved to where their quarters meet, in a view's
+    image ``grey``, and a warning for each target that is not found in all of its photos."""
+    points, lost = {}, dict[str, list[str]]()
+    for name, point in control.points.items():
+        marks = dict(point.marks)
+        for view, mark in point.marks.items() if point.chequer else ():
+            image = grey(view)
+            reach_px = max(LARGEST_ERROR * image.shape[1], _LEAST_REACH_PX)
+            if (found := saddle_near(image, np.array(mark), reach_px)) is None:
+                lost.setdefault(name, []).append(view)
+            else:
+                marks[view] = float(found[0]), float(found[1])
+        points[name] = replace(point, marks=marks)
+    text = "{} is no chequer target in {}: its mark there counts as it is."
+    warnings = (text.format(name, ", ".join(views)) for name, views in lost.items())
+    return replace(control, points=points), tuple(warnings)
 
 
 class _Seen(NamedTuple):

@@ -10,6 +10,10 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float32
+from PIL import Image
+
 from mrgs.check import fast_problems
 from mrgs.data import load_scene
 from mrgs.data.files import composed
@@ -28,7 +32,7 @@ from mrgs.prepare.contract import (
     StageSummary,
     TooFewPosesError,
 )
-from mrgs.prepare.control import place_by_control, read_control
+from mrgs.prepare.control import at_chequers, place_by_control, read_control
 from mrgs.prepare.convert import convert_photos
 from mrgs.prepare.existing import existing_poses
 from mrgs.prepare.georeference import georeference
@@ -73,9 +77,19 @@ def images(work: Work) -> StageSummary:
         work.progress,
         turn=work.options.poses is None,  # given poses are those of the images as stored
     )
+    summary = summarize_photos(work.images)
     if (control := work.options.control) is not None:
-        work.control = read_control(control, _posed_photos(work))
-    return summarize_photos(work.images)
+        marked = read_control(control, _posed_photos(work))
+        work.control, warnings = at_chequers(marked, partial(_grey, work))
+        summary = replace(summary, warnings=summary.warnings + warnings)
+    return summary
+
+
+def _grey(work: Work, view: str) -> Float32[np.ndarray, "h w"]:
+    """The image of a view that gets a pose, as brightness."""
+    [images] = [each.images for each in work.images.views if each.name == view]
+    with Image.open(work.scene / next(iter(images.values())).file) as image:
+        return np.asarray(image.convert("F"))
 
 
 def _posed_photos(work: Work) -> dict[str, tuple[str, tuple[int, int]]]:

@@ -43,8 +43,8 @@ from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
 Values: TypeAlias = Float64[np.ndarray, " m"]
 
-SIZES_M, POWERS_W = (0.3, 3.0), (1.0, 2000.0)
-"""What modules may have."""
+SIZES_M, POWERS_W, YIELDS = (0.3, 3.0), (1.0, 2000.0), (100.0, 3000.0)
+"""What modules may have: sides, power, and energy of a year, kWh by kW of power."""
 
 NOMINAL_W_M2 = 1000.0
 """Irradiance to which ΔT is normalised."""
@@ -72,7 +72,7 @@ BESIDE = 8
 
 PARTS = "", "hot third", "two hot thirds", "hot module"
 SPOTS = "", "hot cell", "several hot cells"
-NUMBERS = "celsius", "delta_k", "uncertainty_k", "delta_1000_k", "hottest_c", "lost_w"
+NUMBERS = "celsius", "delta_k", "uncertainty_k", "delta_1000_k", "hottest_c", "lost_w", "lost_kwh"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,8 @@ class ModuleTable:
     too few photos look. ``names`` are such as R2.1-14, row 2, line 1, place 14;
     ``corners`` in scene coordinates, [M, 4, 3]; ``rows`` the columns of the table without both;
     ``sides`` those of most modules along the row and across it, ``pixel`` the width of the photos'
-    pixels on them, metres; ``power_w`` that of a module at 1,000 W/m², None if not stated."""
+    pixels on them, metres; ``power_w`` that of a module at 1,000 W/m², and ``yield_kwh`` the energy
+    of a year by kW of it, None if not stated."""
 
     scene: Scene
     shown: TemperatureMap
@@ -92,6 +93,7 @@ class ModuleTable:
     pixel: float
     survey: Survey
     power_w: float | None
+    yield_kwh: float | None
     notes: tuple[str, ...]
 
     @property
@@ -117,7 +119,9 @@ class ModuleTable:
         ]
         chosen = {marks[n].name: marks[n] for n in found}
         picture = self.shown.picture(chosen, Style(decimal=t.decimal))
-        lost = [row["lost_w"] for row in self.rows if row["lost_w"] is not None]
+        lost, energy = (
+            sum(row[each] or 0.0 for row in self.rows) / 1000 for each in ("lost_w", "lost_kwh")
+        )
         page = write_html(
             folder / "modules.html",
             "report/modules.html",
@@ -138,7 +142,8 @@ class ModuleTable:
             ),
             size=t.number(" × ".join(f"{side:.2f}" for side in self.sides)),
             pixel=t.number(f"{100 * self.pixel:.1f}"),
-            lost=t.number(f"{sum(lost) / 1000:.2f}") if lost else "",
+            lost=t.number(f"{lost:.2f}"),
+            energy=t.number(f"{energy:.2f}"),
         )
         csv = write_rows(folder / "modules.csv", list(facts[0]), facts)
         features = zip(facts, marks, strict=True)
@@ -148,7 +153,11 @@ class ModuleTable:
 
 
 def module_table(
-    run: Run, size_m: tuple[float, float], power_w: float | None = None, scene: Scene | None = None
+    run: Run,
+    size_m: tuple[float, float],
+    power_w: float | None = None,
+    yield_kwh: float | None = None,
+    scene: Scene | None = None,
 ) -> ModuleTable:
     """Find and measure the modules of a plant.
 
@@ -156,6 +165,7 @@ def module_table(
         run: of photos that look down on the plant.
         size_m: the sides of a module, in any order.
         power_w: of a module at 1,000 W/m².
+        yield_kwh: energy that a kW of sound modules gives in a year, kWh.
         scene: that the run was trained on, where it has been read before.
 
     Raises:
@@ -170,6 +180,11 @@ def module_table(
         )
     if power_w is not None and not POWERS_W[0] <= power_w <= POWERS_W[1]:
         raise ConfigError(f"a module's power is 1 to 2,000 W, not {power_w:g}", options=("power",))
+    if yield_kwh is not None and not YIELDS[0] <= yield_kwh <= YIELDS[1]:
+        raise ConfigError(
+            f"a kW of modules gives 100 to 3,000 kWh in a year, not {yield_kwh:g}",
+            options=("yield_kwh",),
+        )
     path = run.folder.path
     if run.temperature is None or THERMAL not in run.modalities:
         raise RunError(f"{path} has no temperatures in °C: train it on thermal photos in °C")
@@ -199,12 +214,14 @@ def module_table(
     corners = (found.corners + np.array([grid.left, grid.top, 0.0])) @ grid.axes
     seen = _Seen.by_photos(run, scene, corners, pixel)
     budget, irradiance = Budget.of(scene, survey_), survey_.irradiance_w_m2
-    rows = tuple(_judged(seen, found.numbers, budget, irradiance, power_w, pixel))
+    rows = tuple(_judged(seen, found.numbers, budget, irradiance, power_w, yield_kwh, pixel))
     names = tuple(f"R{row}.{line}-{place}" for row, line, place in found.numbers.tolist())
     width, height = found.sides.tolist()
     shown = TemperatureMap(drawn, False, scene.world.north)
     sides, notes = (width, height), budget.notes
-    return ModuleTable(scene, shown, names, corners, rows, sides, pixel, survey_, power_w, notes)
+    return ModuleTable(
+        scene, shown, names, corners, rows, sides, pixel, survey_, power_w, yield_kwh, notes
+    )
 
 
 def _enough(scene: Scene) -> tuple[View, ...]:
@@ -285,6 +302,7 @@ def _judged(
     budget: Budget,
     irradiance: float | None,
     power_w: float | None,
+    yield_kwh: float | None,
     pixel: float,
 ) -> Iterator[dict[str, Any]]:
     """The columns of the table for each module."""
@@ -300,6 +318,7 @@ def _judged(
     window = max(int(seen.celsius.shape[2] / CELLS / 2), 1)
     smooth = ndimage.uniform_filter(excess, (0, window, window), mode="nearest")
     known = np.isfinite(seen.celsius).mean(axis=(1, 2)) > 0.5
+    kwh = None if power_w is None or yield_kwh is None else power_w * yield_kwh / 1000
     watts = None if irradiance is None or power_w is None else power_w * irradiance / NOMINAL_W_M2
     stated = irradiance is not None and irradiance >= LEAST_W_M2
     factor = NOMINAL_W_M2 / irradiance if irradiance is not None and stated else None
@@ -326,6 +345,7 @@ def _judged(
             "celsius": float(whole[n]), "delta_k": delta, "uncertainty_k": around,
             "delta_1000_k": normalised, "hottest_c": hottest,
             "lost_w": None if watts is None else lost * watts,
+            "lost_kwh": None if kwh is None else lost * kwh,
             "photos": int(seen.photos[n]),
             "remark": NARROW_HOT if width < RESOLVED_PX * pixel else "",
         }  # fmt: skip

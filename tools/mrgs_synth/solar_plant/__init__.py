@@ -2,5 +2,6 @@
 pairs of photos take minutes."""
 
 from mrgs_synth.solar_plant.generate import PlantOptions, synthesize_plant
+from mrgs_synth.solar_plant.mornings import synthesize_mornings
 
-__all__ = ["PlantOptions", "synthesize_plant"]
+__all__ = ["PlantOptions", "synthesize_mornings", "synthesize_plant"]

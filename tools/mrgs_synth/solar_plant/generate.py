@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt8
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera, TemperatureRange, WorldFrame
+from mrgs_synth.cameras import WORLD, Frame
 from mrgs_synth.sensor import ThermalSensor, quantise, rounded_range
 from mrgs_synth.solar_plant.cast import (
     RAYS_PER_SIDE,
@@ -94,6 +95,19 @@ class PlantOptions:
         """Width and height of the images."""
         return self.width, self.height
 
+    def plant(self) -> Plant:
+        """The plant of these options."""
+        border = 1.5 * max(footprint_m(*self.size))
+        rng = np.random.default_rng([self.seed, 0])
+        return drawn_plant(self.rows, self.modules, border, rng)
+
+    def flight(self, plant: Plant) -> Flight:
+        """The flight over it."""
+        return survey(
+            plant.low, plant.high, self.overlap, self.size, self.eval_views, self.gps_noise_m,
+            np.random.default_rng([self.seed, 3]),
+        )  # fmt: skip
+
 
 def synthesize_plant(
     output: Path,
@@ -119,21 +133,34 @@ def synthesize_plant(
         ConfigError: ``output`` holds a scene already, or cannot be written.
     """
     options = options or PlantOptions()
-    border = 1.5 * max(footprint_m(*options.size))
-    rng = np.random.default_rng([options.seed, 0])
-    plant = drawn_plant(options.rows, options.modules, border, rng)
-    flight = survey(
-        plant.low, plant.high, options.overlap, options.size, options.eval_views,
-        options.gps_noise_m, np.random.default_rng([options.seed, 3]),
-    )  # fmt: skip
+    plant = options.plant()
+    return photograph_plant(output, plant, options, progress=progress)
+
+
+def photograph_plant(
+    output: Path,
+    plant: Plant,
+    options: PlantOptions,
+    *,
+    frame: Frame = WORLD,
+    warmer_c: float = 0.0,
+    every_truth: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Write the survey of a plant, see ``synthesize_plant``, in the coordinates of ``frame``, all
+    of it warmer by ``warmer_c``, and with ``every_truth`` also the training views' exact truth."""
+    flight = options.flight(plant)
     target = SceneFolder.create(output)
-    _photograph(target, surfaces_of(plant), plant, flight, options.seed, progress)
+    _photograph(
+        target, surfaces_of(plant), plant, flight, options.seed, frame, warmer_c, every_truth,
+        progress,
+    )  # fmt: skip
     _write_truth(target, plant, options)
+    world = WorldFrame(
+        metric=True, north=True, origin=ORIGIN, residual_m=round(flight.gps_residual_m, 3)
+    )
     target.transforms(
-        flight.cameras,
-        world=WorldFrame(
-            metric=True, north=True, origin=ORIGIN, residual_m=round(flight.gps_residual_m, 3)
-        ),
+        {name: frame.camera(each) for name, each in flight.cameras.items()}, world=world
     )
     return len(_train_cameras(flight))
 
@@ -148,11 +175,14 @@ def _photograph(
     plant: Plant,
     flight: Flight,
     seed: int,
+    frame: Frame,
+    warmer_c: float,
+    every_truth: bool,
     progress: Callable[[int, int], None] | None,
 ) -> None:
     """Write the photos and the sparse points; several photos at a time."""
     coldest, hottest = warmest_and_coldest(plant)
-    temperature = rounded_range(coldest, hottest)
+    temperature = rounded_range(coldest + warmer_c, hottest + warmer_c)
     train = _train_cameras(flight)
     names = list(flight.cameras)
 
@@ -160,9 +190,11 @@ def _photograph(
         name = names[number]
         camera = flight.cameras[name]
         photo = photograph(surfaces, camera)
-        _write(
-            target, name, photo, temperature, gps_exif(flight.gps_m[number], number), number, seed
-        )
+        photo = photo._replace(exact_c=photo.exact_c + warmer_c)
+        exif = gps_exif(flight.gps_m[number], number)
+        _write(target, name, photo, temperature, exif, number, seed)
+        if every_truth or "_eval_" in name:
+            target.truth(name, photo.exact_c, photo.depth_m)
         if "_train_" not in name:
             return np.empty((0, 3)), np.empty((0, 3), np.uint8)
         return _points(surfaces, train, number, photo, np.random.default_rng([seed, 4, number]))
@@ -175,7 +207,7 @@ def _photograph(
                 progress(done, len(names))
     target.temperature_bounds(temperature)
     positions, colors = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    target.points(positions, colors)
+    target.points(frame.points(positions), colors)
 
 
 def _write(
@@ -190,8 +222,6 @@ def _write(
     target.rgb(name, photo.rgb, exif)
     celsius = SENSOR.photograph(photo.exact_c, number, seed)
     target.thermal(name, quantise(celsius, temperature, IMAGE_BITS))
-    if "_eval_" in name:
-        target.truth(name, photo.exact_c, photo.depth_m)
 
 
 def _points(

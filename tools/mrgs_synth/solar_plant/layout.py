@@ -3,6 +3,7 @@ defective."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -58,6 +59,7 @@ class Defect:
         position_m: the middle of the hot cells, world coordinates.
         size_m: of the hot rectangle, along the row and up the slope.
         delta_c: by how much it is hotter than the sound cells of its table.
+        cells: of its table that are hot: first column and row, numbers of columns and rows.
     """
 
     kind: Kind
@@ -67,6 +69,7 @@ class Defect:
     position_m: tuple[float, float, float]
     size_m: tuple[float, float]
     delta_c: float
+    cells: tuple[int, int, int, int]
 
     def to_json(self) -> dict[str, Any]:
         """Its attributes, lengths to a millimetre."""
@@ -140,7 +143,7 @@ def drawn_plant(rows: int, modules: int, border_m: float, rng: np.random.Generat
         (low[0] - border_m, low[1] - border_m), (high[0] + border_m, high[1] + border_m), rng
     )
     tables = _tables(ground, rows, counts, low, rng)
-    defects = _defects(tables, rng)
+    defects = drawn_defects(tables, rng)
     return Plant(ground, tables, defects, low, high)
 
 
@@ -179,13 +182,24 @@ def _tables(
     return Tables(corner, along, up, np.tile(counts, rows), row, tone, cells)
 
 
-def _defects(tables: Tables, rng: np.random.Generator) -> tuple[Defect, ...]:
-    """Heat the cells of modules drawn at random, no module twice."""
+def heat(tables: Tables, defect: Defect, kelvin: float) -> None:
+    """Warm a defect's cells."""
+    table = np.flatnonzero(tables.row == defect.row)[defect.table]
+    column, row, across, along = defect.cells
+    tables.cell_c[table, row : row + along, column : column + across] += kelvin
+
+
+def drawn_defects(
+    tables: Tables, rng: np.random.Generator, sound: Collection[Defect] = ()
+) -> tuple[Defect, ...]:
+    """Heat the cells of modules drawn at random, no module twice, and none of these defects'."""
+    taken = {(each.row, each.table, each.module) for each in sound}
     all_modules = [
         (table, column, above)
         for table, count in enumerate(tables.modules)
         for column in range(count)
         for above in range(TABLE_MODULES[1])
+        if (int(tables.row[table]), _in_row(tables, table), (column, above)) not in taken
     ]
     order = iter(rng.permutation(len(all_modules)))
     found = []
@@ -194,11 +208,15 @@ def _defects(tables: Tables, rng: np.random.Generator) -> tuple[Defect, ...]:
             if (chosen := next(order, None)) is None:
                 break
             delta = float(np.exp(rng.uniform(np.log(least), np.log(most))))
-            found.append(_heat(tables, kind, all_modules[chosen], delta, rng))
+            found.append(_heated(tables, kind, all_modules[chosen], delta, rng))
     return tuple(found)
 
 
-def _heat(
+def _in_row(tables: Tables, table: int) -> int:
+    return table - int(np.argmax(tables.row == tables.row[table]))
+
+
+def _heated(
     tables: Tables,
     kind: Kind,
     module: tuple[int, int, int],
@@ -212,17 +230,17 @@ def _heat(
         int(rng.integers(CELLS[1] // along)) * along,
     )
     left, bottom = column * CELLS[0] + first[0], above * CELLS[1] + first[1]
-    tables.cell_c[table, bottom : bottom + along, left : left + across] += delta_c
     side = cell_side_m()
     u = column * MODULE_M[0] + FRAME_M + (first[0] + across / 2) * side[0]
     v = above * MODULE_M[1] + FRAME_M + (first[1] + along / 2) * side[1]
     place = tables.corner[table] + u * tables.along[table] + v * tables.up[table]
-    row = int(tables.row[table])
-    return Defect(
-        kind, row, table - int(np.argmax(tables.row == row)), (column, above),
+    defect = Defect(
+        kind, int(tables.row[table]), _in_row(tables, table), (column, above),
         (float(place[0]), float(place[1]), float(place[2])),
-        (across * side[0], along * side[1]), delta_c,
+        (across * side[0], along * side[1]), delta_c, (left, bottom, across, along),
     )  # fmt: skip
+    heat(tables, defect, delta_c)
+    return defect
 
 
 def cell_side_m() -> tuple[float, float]:

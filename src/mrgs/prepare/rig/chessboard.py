@@ -21,6 +21,7 @@ _LEAST_FILLED = 0.6
 _FIT_SQUARES = 0.3
 _QUARTER_SQUARES = 0.35
 _IRREGULAR_SQUARES = 0.15
+_RING = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,35 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
                 if _is_board(image, corners) and not _is_part_of_larger(image, corners):
                     return corners
     return None
+
+
+def saddle_near(
+    image: Float[np.ndarray, "h w"], pixel: Points, reach_px: float
+) -> Float[np.ndarray, "2"] | None:
+    """The clearest place within reach of a pixel x, y where two bright and two dark quarters meet,
+    to a fraction of a pixel; None if there is none."""
+    margin = 2 * reach_px + 4 * max(_SIGMAS_PX)
+    corner = np.maximum(np.floor(pixel - margin), 0).astype(int)
+    (left, top), (right, bottom) = corner, np.ceil(pixel + margin).astype(int)
+    part = image[top:bottom, left:right].astype(np.float32)
+    for sigma_px in reversed(_SIGMAS_PX):
+        found = _find_saddles(part, sigma_px).pixels + corner
+        for place in found[np.linalg.norm(found - pixel, axis=1) <= reach_px]:
+            refined = _refined(part, place[None] - corner, np.array([2 * sigma_px]))[0]
+            if np.isfinite(refined).all() and _has_quarters(part, refined, 3 * sigma_px):
+                return refined + corner
+    return None
+
+
+def _has_quarters(
+    image: Float[np.ndarray, "h w"], middle: Float[np.ndarray, "2"], radius_px: float
+) -> bool:
+    """Whether an image is bright twice and dark twice around a place, and little else: half of the
+    variance there is of that frequency, in place of four fifths for four even quarters."""
+    angle = np.arange(_RING) * (2 * np.pi / _RING)
+    x, y = middle[0] + radius_px * np.cos(angle), middle[1] + radius_px * np.sin(angle)
+    power = np.abs(np.fft.rfft(sampled(image, x, y))[1:]) ** 2
+    return bool(power[1] > 0.5 * power.sum())
 
 
 def board_points(columns: int, rows: int) -> Points:
