@@ -33,29 +33,51 @@ ERROR_RATIO = "truth.ratio_after_a_constant"
 
 
 class Column(NamedTuple):
-    """A figure of a table: its name in the results, its heading, decimals, and unit."""
+    """A figure of a table: its name in the results, its heading, decimals, and unit; and whether it
+    is compared as a ratio, by geometric means."""
 
     figure: str
     heading: str
     decimals: int
     unit: str
+    is_ratio: bool = False
 
 
-COLUMNS = (
-    Column("thermal.psnr_matched", "thermal, matched", 2, "dB"),
-    Column("rgb.psnr_matched", "RGB, matched", 2, "dB"),
-    Column(ERROR_RATIO, "error, camera = 1", 2, ""),
-    Column("truth.depth_percent", "depth error", 2, "%"),
-)
+COLUMNS = {
+    "cameras": (
+        Column("thermal.psnr_matched", "thermal, matched", 2, "dB"),
+        Column("rgb.psnr_matched", "RGB, matched", 2, "dB"),
+        Column(ERROR_RATIO, "error, camera = 1", 2, ""),
+        Column("truth.depth_percent", "depth error", 2, "%"),
+    ),
+    "paper": (
+        Column("gaussians_k", "Gaussians", 0, "K", is_ratio=True),
+        Column("thermal.psnr", "thermal", 2, "dB"),
+        Column("thermal.ssim", "SSIM", 3, ""),
+        Column("rgb.psnr", "RGB", 2, "dB"),
+        Column("rgb.ssim", "SSIM", 3, ""),
+        Column("poses.aligned.thermal.psnr", "thermal, aligned", 2, "dB"),
+        Column("poses.aligned.rgb.psnr", "RGB, aligned", 2, "dB"),
+        Column("truth.depth_percent", "depth error", 1, "%"),
+    ),
+}
+"""The columns of tables, by the names of their kinds."""
 
 Kept = Mapping[str, Any]
 """What ``keep`` returns: ``command``, ``commit``, the ``baseline`` that others are compared with,
+``columns`` as a name of ``COLUMNS``,
 and ``runs``, each with its scene, method, seed and figures."""
 
 
-def keep(folder: Path, command: str, commit: str, baseline: str) -> Kept:
-    """The figures of a comparison's runs that a table shows, and what it is of."""
-    results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+def keep(
+    folders: Sequence[Path], command: str, commit: str, baseline: str, columns: str = "cameras"
+) -> Kept:
+    """The figures of some comparisons' runs that a table shows, and what it is of."""
+    every = [
+        (folder, run)
+        for folder in folders
+        for run in json.loads((folder / "results.json").read_text(encoding="utf-8"))["runs"]
+    ]
     runs = [
         {
             "scene": run["scene"],
@@ -63,14 +85,15 @@ def keep(folder: Path, command: str, commit: str, baseline: str) -> Kept:
             "seed": run["seed"],
             "figures": {
                 column.figure: _rounded(value)
-                for column in COLUMNS
+                for column in COLUMNS[columns]
                 if (value := _figure(folder, run, column.figure)) is not None
             },
         }
-        for run in results["runs"]
+        for folder, run in every
         if run["failure"] is None
     ]
-    return {"command": command, "commit": commit, "baseline": baseline, "runs": runs}
+    facts = {"command": command, "commit": commit, "baseline": baseline, "columns": columns}
+    return {**facts, "runs": runs}
 
 
 def _figure(folder: Path, run: Mapping[str, Any], figure: str) -> float | None:
@@ -123,49 +146,70 @@ def table(kept: Kept) -> str:
     runs, baseline = kept["runs"], kept["baseline"]
     methods = sorted({run["method"] for run in runs}, key=[run["method"] for run in runs].index)
     scenes = sorted({run["scene"] for run in runs})
-    heads = [column.heading for column in COLUMNS]
+    columns = COLUMNS[kept["columns"]]
+    heads = [column.heading for column in columns]
     lines = [
         "| | " + " | ".join(f"{head} | to `{baseline}`" for head in heads) + " |",
         "|---" * (1 + 2 * len(heads)) + "|",
     ]
     for method in methods:
-        cells = [f"`{method}`"]
-        for column in COLUMNS:
+        own = [scene for scene in scenes if _of_scene(runs, scene, method)]
+        cells = [f"`{method}`" + (f", {len(own)} of them" if len(own) < len(scenes) else "")]
+        for column in columns:
             found, compared = (
-                [_of_scene(runs, scene, each, column.figure) for scene in scenes]
+                [_of_scene(runs, scene, each, column.figure) for scene in own]
                 for each in (method, baseline)
             )
-            cells.append(_mean_text(runs, scenes, method, column))
-            paired = [mean(a) - mean(b) for a, b in zip(found, compared, strict=True)]
-            cells.append("" if method == baseline else difference_text(paired, column.decimals))
+            cells.append(_mean_text(found, column))
+            cells.append("" if method == baseline else _compared(found, compared, column))
         lines.append("| " + " | ".join(cells) + " |")
     seeds = len({run["seed"] for run in runs})
-    lines += ["", f"n = {len(scenes)} scenes, trainings of each: {seeds}; commit {kept['commit']}."]
+    count = f"n = {len(scenes)} scene{'s' if len(scenes) > 1 else ''}"
+    lines += ["", f"{count}, trainings of each: {seeds}; commit {kept['commit']}."]
     return "\n".join(lines) + "\n"
 
 
+def _compared(
+    found: Sequence[Sequence[float]], others: Sequence[Sequence[float]], column: Column
+) -> str:
+    """How a method's scenes differ from another's: the mean, and its interval if there are
+    several."""
+    means = [(mean(a), mean(b)) for a, b in zip(found, others, strict=True)]
+    if not column.is_ratio:
+        return difference_text([a - b for a, b in means], column.decimals)
+    logs = [math.log(a / b) for a, b in means]
+    text = f"{100 * math.exp(mean(logs)):.0f} %"
+    if len(logs) > 1:
+        middle, half = interval(logs)
+        low, high = (100 * math.exp(middle + sign * half) for sign in (-1, 1))
+        text += f" ({low:.0f} to {high:.0f})"
+    return text
+
+
 def difference_text(differences: Sequence[float], decimals: int) -> str:
-    """The mean difference and its interval; in words where the interval holds zero."""
+    """The mean difference, and its interval if there are several; in words where that holds
+    zero."""
+    if len(differences) == 1:
+        return f"{differences[0]:+.{decimals}f}".replace("-", "−")
     middle, half = interval(differences)
     text = f"{middle:+.{decimals}f} ± {half:.{decimals}f}".replace("-", "−")
     return f"{text} (not shown)" if abs(middle) <= half else text
 
 
-def _mean_text(
-    runs: Sequence[Mapping[str, Any]], scenes: Sequence[str], method: str, column: Column
-) -> str:
-    by_seed = zip(*(_of_scene(runs, scene, method, column.figure) for scene in scenes), strict=True)
-    means = [mean(of_seed) for of_seed in by_seed]
+def _mean_text(found: Sequence[Sequence[float]], column: Column) -> str:
+    """The mean over the scenes ± standard deviation over the seeds."""
+    means = [mean(of_seed) for of_seed in zip(*found, strict=True)]
     spread = f" ± {stdev(means):.{column.decimals}f}" if len(means) > 1 else ""
     return f"{mean(means):.{column.decimals}f}{spread} {column.unit}".rstrip()
 
 
 def _of_scene(
-    runs: Sequence[Mapping[str, Any]], scene: str, method: str, figure: str
+    runs: Sequence[Mapping[str, Any]], scene: str, method: str, figure: str = ""
 ) -> list[float]:
-    """A figure of each seed, in their order."""
+    """A figure of each seed, in their order; their numbers without one."""
     chosen = [run for run in runs if (run["scene"], run["method"]) == (scene, method)]
-    return [run["figures"][figure] for run in sorted(chosen, key=lambda run: run["seed"])]
+    chosen = sorted(chosen, key=lambda run: run["seed"])
+    return [run["figures"][figure] if figure else run["seed"] for run in chosen]
 
 
 def _rounded(value: float) -> float:
@@ -175,16 +219,18 @@ def _rounded(value: float) -> float:
 def main() -> None:
     """Keep the results of a comparison, if one is given, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.experiments")
-    parser.add_argument("folder", type=Path, nargs="?", help="that mrgs compare wrote")
+    parser.add_argument("folders", type=Path, nargs="*", help="that mrgs compare wrote")
+    parser.add_argument("--columns", choices=tuple(COLUMNS), default="cameras")
     parser.add_argument("--name", required=True, help="of the results that are kept")
     parser.add_argument("--baseline", default="3dgs-rgbt")
     parser.add_argument("--command", default="", help="that made the comparison")
     parser.add_argument("--commit", default="", help="with which its runs were trained")
     options = parser.parse_args()
     path = RESULTS / f"{options.name}.json"
-    if options.folder is not None:
+    if options.folders:
         RESULTS.mkdir(parents=True, exist_ok=True)
-        kept = keep(options.folder, options.command, options.commit, options.baseline)
+        facts = options.command, options.commit, options.baseline, options.columns
+        kept = keep(options.folders, *facts)
         path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     print(table(json.loads(path.read_text(encoding="utf-8"))))
 

@@ -39,12 +39,19 @@ def kept(**changes) -> experiments.Kept:
             "scene": scene,
             "method": method,
             "seed": seed,
-            "figures": {column.figure: value for column in experiments.COLUMNS},
+            "figures": {column.figure: value for column in experiments.COLUMNS["cameras"]},
         }
         for (method, scene), of_seeds in values.items()
         for seed, value in enumerate(of_seeds)
     ]
-    return {"command": "", "commit": "0" * 8, "baseline": "a", "runs": runs, **changes}
+    return {
+        "command": "",
+        "commit": "0" * 8,
+        "baseline": "a",
+        "columns": "cameras",
+        "runs": runs,
+        **changes,
+    }
 
 
 def test_a_table_pairs_the_scenes_and_spreads_over_the_seeds():
@@ -53,6 +60,18 @@ def test_a_table_pairs_the_scenes_and_spreads_over_the_seeds():
     assert first.startswith("| `a` | 3.25 ± 1.06 dB |  |")
     assert second.startswith("| `b` | 4.25 ± 1.06 dB | +1.00 ± 0.00 |")
     assert "2 scenes" in note
+
+
+def test_a_method_that_not_all_scenes_have_is_compared_on_its_own():
+    runs = [run for run in kept()["runs"] if (run["method"], run["scene"]) != ("b", "y")]
+    lines = experiments.table(kept(runs=runs)).splitlines()
+    assert lines[3].startswith("| `b`, 1 of them | 2.50 ± 0.71 dB | +1.00 |")
+
+
+def test_ratios_are_geometric_means():
+    column = experiments.Column("gaussians_k", "Gaussians", 0, "K", is_ratio=True)
+    assert experiments._compared([[2.0], [2.0]], [[1.0], [4.0]], column).startswith("100 % (")
+    assert experiments._compared([[3.0]], [[4.0]], column) == "75 %"
 
 
 def test_one_constant_is_taken_off_all_views_together():
