@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -38,7 +38,6 @@ from mrgs.evaluation.metrics import (
     to_json,
 )
 from mrgs.method.parts import PartSpreads, knock_outs, part_spreads
-from mrgs.render import Model, render
 from mrgs.runs.open import Run
 from mrgs.scene import (
     BUILT_IN,
@@ -55,6 +54,7 @@ from mrgs.scene import (
     in_order,
 )
 from mrgs.system.memory import give_back_freed
+from mrgs.system.torch_modes import own_modes
 
 NO_LPIPS = "no VGG-16 and LPIPS weights were given or kept (docs/runs.md)"
 NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
@@ -355,23 +355,23 @@ def score_parts(run: Run, views: Sequence[View], truth: Truth | None = None) -> 
     spreads = part_spreads(run.model, views[0].camera.position.float())
     if spreads is None:
         return None
-    copies = knock_outs(run.model)
+    with own_modes(run.device):
+        models = knock_outs(run.model.to(run.device))
+    copies = {part: replace(run, model=model) for part, model in models.items()}
     scored: dict[str, list[Figures]] = {part: [] for part in copies}
     for view in views:
         photos = {modality: image.load() for modality, image in view.images.items()}
-        for part, model in copies.items():
-            scored[part].append(_score(model, view, photos, run, truth))
+        for part, copy in copies.items():
+            scored[part].append(_score(copy, view, photos, truth))
     means = {part: mean_figures(each, KNOCK_OUT_FIGURES) for part, each in scored.items()}
     return Parts(spreads, means, run.temperature)
 
 
-def _score(
-    model: Model, view: View, photos: Mapping[Modality, Pixels], run: Run, truth: Truth | None
-) -> Figures:
-    """One view's figures of a copy of the run's model, rendered on the CPU."""
-    cameras = {each: view.cameras[each] for each in BUILT_IN if each in view.cameras}
-    with torch.no_grad():
-        rendering, _ = render(model, cameras)
+def _score(run: Run, view: View, photos: Mapping[Modality, Pixels], truth: Truth | None) -> Figures:
+    """One view's figures of a run that lacks a part."""
+    rendering = run.render_cameras(
+        {each: view.cameras[each] for each in BUILT_IN if each in view.cameras}
+    )
     observed = run.camera_response(rendering, view.camera)
     figures: Figures = {
         f"{modality}_psnr": _psnr(photos.get(modality), observed.get(modality))
