@@ -23,7 +23,7 @@ from PIL import Image
 from mrgs.errors import ConfigError
 from mrgs.marks import open_marks
 from mrgs.marks.mark import Mark, Marks
-from mrgs.report.changes import Differences, diff_runs
+from mrgs.report.changes import REACH_PX, Differences, diff_runs
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL, Camera, Scene
 
@@ -133,7 +133,8 @@ def _outcome(
             sign = step or each["after"]["kelvin"] * (
                 each["after"]["radius_m"] - each["before"]["radius_m"]
             )
-            if np.median(distance) < 1.3 * radius and sign * change.difference > 0:
+            reach = 1.3 * radius + REACH_PX * found.surface.pixel
+            if np.median(distance) < reach and sign * change.difference > 0:
                 hit.setdefault(number, []).append(change.kind)
         print("   ", text)
     spots = []
@@ -218,7 +219,8 @@ def _generate(folders: tuple[Path, Path], kind: str, seed: int) -> None:
     if kind == "solar-plant":
         from mrgs_synth.solar_plant import PlantOptions, synthesize_mornings
 
-        synthesize_mornings(*folders, PlantOptions(rows=3, modules=30, eval_views=2, seed=seed))
+        size = {"width": 640, "height": 480}  # 2.5 cm per pixel; the standard asks for 3
+        synthesize_mornings(*folders, PlantOptions(2, 16, eval_views=2, seed=seed, **size))
     else:
         from mrgs_synth.dates import synthesize_dates
 
@@ -226,7 +228,7 @@ def _generate(folders: tuple[Path, Path], kind: str, seed: int) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Compare the runs of all seeds and print the sums."""
+    """Generate scenes, or compare the runs of all seeds and print the sums."""
     folder, outcomes = Path(arguments[0]), []
     for argument in arguments[1:]:
         seed, _, kind = argument.partition(":")
@@ -239,11 +241,16 @@ def main(arguments: list[str]) -> None:
         for text in outcome.false:
             print("    false:", text)
         outcomes.append(outcome)
+    if outcomes:
+        _print_sums(outcomes)
+
+
+def _print_sums(outcomes: list[Outcome]) -> None:
     known = sum(len(each.known) for each in outcomes)
     missed = sum(len(each.missed) for each in outcomes)
     reported = sum(each.reported for each in outcomes)
     false = sum(len(each.false) for each in outcomes)
-    right, hits = np.sum([each.kinds for each in outcomes], axis=0) if outcomes else (0, 0)
+    right, hits = np.sum([each.kinds for each in outcomes], axis=0)
     print(f"found {known - missed} of {known}; {false} of {reported} reported are false")
     print(f"kind right for {right} of {hits}")
     missed_kinds = Counter(text.split()[0] for each in outcomes for text in each.missed)

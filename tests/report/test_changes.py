@@ -277,6 +277,18 @@ def test_places_are_as_far_apart_as_pixels_of_the_coarser_date(found, monkeypatc
     assert surface.pixel == pytest.approx(0.2 / SCALE, rel=0.01)
 
 
+def test_a_place_that_one_photo_alone_shows_is_not_compared(found):
+    date = found.dates[0]
+    points = np.concatenate([each.points() for each in date.meter.survey])[::50]
+    photos = np.zeros(len(points), int)
+    for each in date.meter.survey:
+        photos[each.shown(points.astype(np.float32)).rows] += 1
+    compared = np.isfinite(date.celsius(points)[0])
+    assert (photos == 1).any()
+    assert not compared[photos < 2].any()
+    assert compared[photos > 2].mean() > 0.9
+
+
 def test_changes_have_names_of_their_own(first, second, found):
     store = open_marks(*first).store
     store.edit(
@@ -496,6 +508,12 @@ def test_many_maps_take_the_memory_of_one():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < sum(each.points().nbytes for each in maps)
+
+
+def test_places_of_a_large_plant_stay_as_small_as_pixels():
+    points, pixel = _thinned([map_of(800_000, wide=1000.0)], 1.0)
+    assert pixel == 1.0
+    assert len(points) > 500_000
 
 
 def test_far_points_have_larger_places():

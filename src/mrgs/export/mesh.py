@@ -203,8 +203,9 @@ def build_mesh(baked: BakedModel, scene: Scene, resolution: int = RESOLUTION) ->
     field, grid = fuse(maps, resolution)
     points, faces = surface_nets(field)
     vertices = (grid.origin + grid.step * points).astype(np.float32)
-    values, seen = carry_over(maps, vertices, 2 * grid.step)
-    vertices, faces, values = _without_specks(vertices, faces[seen[faces].all(axis=1)], values)
+    values, cameras = carry_over(maps, vertices, 2 * grid.step)
+    seen = (cameras[faces] > 0).all(axis=1)
+    vertices, faces, values = _without_specks(vertices, faces[seen], values)
     if not len(faces):
         raise RunError(
             "the depths of the model's views agree nowhere, so there is no mesh: train it longer"

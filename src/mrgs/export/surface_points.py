@@ -96,7 +96,8 @@ def surface_points(baked: BakedModel, scene: Scene) -> SurfacePoints:
             f"longer"
         )
     positions = to_array(baked.means)[rows]
-    values, seen = carry_over(depth_maps(baked, scene), positions, 0.0, SURFACE_DEPTH)
+    values, cameras = carry_over(depth_maps(baked, scene), positions, 0.0, SURFACE_DEPTH)
+    seen = cameras > 0
     if not seen.any():
         raise RunError(
             "no opaque splat lies on a surface that a camera sees, so there are no points: train "

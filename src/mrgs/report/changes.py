@@ -63,6 +63,9 @@ BEGINS, CONTINUES = 0.6, 0.5
 CORE = 0.5
 """A change is where ΔT is at least this share of its largest values, the upper twentieth."""
 
+FEWEST_PHOTOS = 2
+"""Photos of each date that must show a place: nothing confirms the depth of what one shows."""
+
 FEWEST_PLACES = 8
 LEAST_PX = 3.0
 """Width of a change, in pixels of the photos: a camera measures nothing narrower."""
@@ -78,7 +81,7 @@ ADJOINING = 0.08
 """Share of the surroundings that are as hot or cold on both dates, from which on what changed is
 the edge of that place."""
 
-MOST_PLACES, MOST_CORNERS, MOST_PIECES = 300_000, 100, 9
+MOST_PLACES, MOST_CORNERS, MOST_PIECES = 2_000_000, 100, 9
 MOST_CUBES = 2**62
 """Numbers of more cubes are no integers of 64 bits."""
 
@@ -127,8 +130,9 @@ class _Date:
 
     def celsius(self, points: Points) -> tuple[Values, Values]:
         """°C of points on surfaces, corrected for areas with settings of their own, and as the
-        photos' cameras see them; NaN where none sees one."""
-        seen = self.meter.survey.temperatures(points.astype(np.float32)).astype(np.float64)
+        photos' cameras see them; NaN where fewer than ``FEWEST_PHOTOS`` see one."""
+        seen = self.meter.survey.temperatures(points.astype(np.float32), FEWEST_PHOTOS)
+        seen = seen.astype(np.float64)
         celsius = in_unit(THERMAL, seen, self.run.temperature)
         return self.regions.corrected_at(points, celsius), celsius
 

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Float, Float32, Float64, Int64
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import THERMAL
@@ -74,12 +74,13 @@ class DepthMap:
 
 def carry_over(
     maps: Sequence[DepthMap], points: Points, tolerance: float, relative_tolerance: float = 0.0
-) -> tuple[Float32[np.ndarray, "n c"], Bool[np.ndarray, " n"]]:
+) -> tuple[Float32[np.ndarray, "n c"], Int64[np.ndarray, " n"]]:
     """Image values of each point [N, C], averaged over the cameras that see it with weights 1 / z²,
-    and whether any camera does [N]. Pixels with NaN do not count. For the tolerances see
+    and the number of these cameras [N]. Pixels with NaN do not count. For the tolerances see
     ``DepthMap.shown``."""
     total = np.zeros((len(points), maps[0].image.shape[2]), dtype=np.float32)
     weight = np.zeros(len(points), dtype=np.float32)
+    cameras = np.zeros(len(points), dtype=np.int64)
     for item in maps:
         rows, pixels, z = item.shown(points, relative_tolerance, tolerance)
         values = item.image[pixels]
@@ -87,7 +88,8 @@ def carry_over(
         rows, near = rows[known], 1 / z[known] ** 2
         total[rows] += near[:, None] * values[known]
         weight[rows] += near
-    return total / np.where(weight > 0, weight, 1)[:, None], weight > 0
+        cameras[rows] += 1
+    return total / np.where(cameras > 0, weight, 1)[:, None], cameras
 
 
 def visible(camera: Camera, positions: Points) -> PointsInImage:
@@ -153,8 +155,8 @@ class PhotoSurvey:
             self.maps = maps
         return iter(self.maps)
 
-    def temperatures(self, points: Points) -> Float32[np.ndarray, " n"]:
-        """What the cameras see at points on surfaces, NaN where none sees one, [N], normalised: the
-        temperature of a place, wherever one is stated."""
-        values, seen = carry_over(list(self), points, 0.0, SURFACE_DEPTH)
-        return np.where(seen, values[:, 0], np.float32(np.nan))
+    def temperatures(self, points: Points, least: int = 1) -> Float32[np.ndarray, " n"]:
+        """What the cameras see at points on surfaces, NaN where fewer than ``least`` see one, [N],
+        normalised: the temperature of a place, wherever one is stated."""
+        values, cameras = carry_over(list(self), points, 0.0, SURFACE_DEPTH)
+        return np.where(cameras >= least, values[:, 0], np.float32(np.nan))
