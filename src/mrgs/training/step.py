@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -14,6 +15,7 @@ from mrgs.method.density import DensityStep
 from mrgs.method.losses.term import SceneScale
 from mrgs.run_files.record import StepStatistics
 from mrgs.training.recorder import Recorder
+from mrgs.training.removal import removal_errors
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import (
     PhotographedView,
@@ -111,16 +113,22 @@ def _move(
 
 
 def control_density(
-    state: TrainingState, result: StepResult, config: TrainConfig, extent: float
+    state: TrainingState,
+    result: StepResult,
+    config: TrainConfig,
+    scale: SceneScale,
+    views: Iterable[PhotographedView],
 ) -> Mapping[str, int] | None:
     """Let the strategy adapt the Gaussians after a step, in place; its counts for the log, None if
-    it left the rows as they are. If a GPU's memory is full, nothing has changed."""
+    it left the rows as they are. If a GPU's memory is full, nothing has changed. ``views`` are read
+    where the strategy asks what leaving a Gaussian out would change."""
     strategy, before = state.strategy, state.model.gaussians.means
-    views = result.observed.items()
-    observed = {name: torch.where(result.finite, value, 0) for name, value in views}
+    items = result.observed.items()
+    observed = {name: torch.where(result.finite, value, 0) for name, value in items}
     step = DensityStep(
-        state.step, extent, config.distant_points, observed, result.finite, state.generator
-    )
+        state.step, scale.extent, config.distant_points, observed, result.finite, state.generator,
+        partial(removal_errors, state, views, config, scale),
+    )  # fmt: skip
     update = strategy.after_step(state.strategy_state, state.gaussian_optimizer, step)
     state.strategy_state = update.state
     if state.model.gaussians.means is not before:
