@@ -161,8 +161,7 @@ def _within_minutes(command: Train, method: Method, config: Any, device: DeviceN
     options = TrainOptions(device=device, plain=command.plain)
     pace = measure_pace(method, command.scene, config, options)
     left_s = command.minutes * 60 - (time.monotonic() - started)
-    most = config.densification.max_gaussians if method.has_gaussians else None
-    steps = steps_within(left_s, pace, most)
+    steps = steps_within(left_s, pace, config if method.has_gaussians else None)
     print(f"{steps:,} steps fit into {command.minutes:g} min", flush=True)
     config = _configured(command, method, steps)
     if config.max_steps != steps:
