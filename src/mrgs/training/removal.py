@@ -84,5 +84,5 @@ def _signed(
     signs = (2 * torch.randint(2, image.shape, generator=generator) - 1).to(image)
     errors = (observed.detach() - photo.values).square()
     if photo.valid is not None:
-        signs, errors = (torch.where(photo.valid[..., None], each, 0) for each in (signs, errors))
+        signs, errors = (each * photo.valid[:, :, None] for each in (signs, errors))
     return (signs * image).sum() / errors.sum().clamp_min(LEAST).sqrt()
