@@ -169,7 +169,7 @@ def test_a_block_starts_from_the_points_where_these_are_more(joined, scene):
     assert not inside[block.rows].any()
     gaussians = begun.model.gaussians
     start = gaussians.means[len(block.rows) :]
-    most = done.config.densification.peak
+    most = done.config.densification.max_gaussians
     assert len(start) == min(int(there.sum()), most) > int(inside.sum())
     assert part.contains(start).all()
     few = PointCloud(points.positions[:3], points.colors[:3])

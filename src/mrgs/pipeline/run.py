@@ -189,8 +189,7 @@ def disk_bytes(work: Workload, intake: Intake) -> int:
     if work.photos:
         thermal_px = math.prod(intake.sizes.get(THERMAL, (0, 0)))
         scene = intake.bytes + (4 * thermal_px + 1_000_000) * work.views
-    # Two checkpoints may be of the time with three times as many Gaussians.
-    model = (7 * 1_100 + 1_500) * work.gaussians
+    model = (3 * 1_100 + 1_500) * work.gaussians
     images = int(1e3 * work.kpx) * (12 * (work.held_out or work.views) + 2 * work.views)
     return int(1.2 * (scene + model + images)) + 50_000_000
 
