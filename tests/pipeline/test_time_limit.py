@@ -6,12 +6,11 @@ from types import SimpleNamespace
 import pytest
 
 from mrgs.data import load_scene
-from mrgs.method.config import TrainConfig, make_config
+from mrgs.method.config import make_config
 from mrgs.pipeline.forecast import (
     MARGIN,
     PILOT_STEPS,
     Pace,
-    mean_gaussians,
     measure_pace,
     step_seconds,
     steps_within,
@@ -23,21 +22,9 @@ from mrgs.training.start import TrainOptions
 CPU = TrainOptions(device="cpu")
 
 
-def even(most: int) -> TrainConfig:
-    """A training that does not shrink after its growth."""
-    return make_config("mrgs", "fast", max_gaussians=most)
-
-
-def test_more_gaussians_for_a_while_take_time():
-    shrinks = make_config("mrgs-plus", "fast", max_gaussians=1000).densification
-    mean = mean_gaussians(1000, shrinks, 1500)
-    assert 1500 < mean < 2000
-    assert mean_gaussians(1000, even(1000).densification, 1500) == 1000
-
-
 def test_a_training_that_does_not_grow_takes_its_pace():
     pace = Pace(loading_s=4.0, step_s=0.1, gaussians=1000, kpx=10.0, mean_kpx=10.0)
-    assert steps_within(64.0, pace, even(1000)) == int(60 / (MARGIN * 0.1))
+    assert steps_within(64.0, pace, 1000) == int(60 / (MARGIN * 0.1))
     assert steps_within(64.0, pace._replace(gaussians=None), None) == int(60 / (MARGIN * 0.1))
 
 
@@ -49,14 +36,14 @@ def test_growth_leaves_time_for_fewer_steps():
         kpx=100.0,
         mean_kpx=100.0,
     )
-    steps = steps_within(60.0, pace, even(50_000))
+    steps = steps_within(60.0, pace, 50_000)
     at_the_cap = 60.0 / (MARGIN * step_seconds(50_000, 100.0))
     assert at_the_cap < steps < 1.15 * at_the_cap
 
 
 @pytest.mark.parametrize("seconds", [-5.0, 1.0])
 def test_without_time_there_is_one_step(seconds):
-    assert steps_within(seconds, Pace(4.0, 0.1, 1000, 10.0, 10.0), even(1000)) == 1
+    assert steps_within(seconds, Pace(4.0, 0.1, 1000, 10.0, 10.0), 1000) == 1
 
 
 def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene):
@@ -83,7 +70,7 @@ def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene):
 
 def test_coarse_photos_leave_time_for_more_steps():
     pace = Pace(0.0, step_seconds(1000, 600.0), gaussians=1000, kpx=600.0, mean_kpx=300.0)
-    steps = steps_within(60.0, pace, even(1000))
+    steps = steps_within(60.0, pace, 1000)
     assert steps == int(60.0 / (MARGIN * step_seconds(1000, 300.0)))
 
 

@@ -227,7 +227,7 @@ class Train:
     minutes: Maybe[float] = None
     """Choose the number of steps so that training takes about this long on this computer."""
     max_gaussians: Maybe[int] = None
-    """Maximum number of Gaussians at the end; mrgs-plus may have three times as many before."""
+    """Maximum number of Gaussians."""
     resolution: Maybe[int] = None
     """Downscale images wider than this many pixels."""
     seed: int = 0
@@ -520,7 +520,7 @@ class CompareMethods:
     max_steps: Maybe[int] = None
     """Number of steps; the preset's schedule is rescaled to fit."""
     max_gaussians: Maybe[int] = None
-    """Maximum number of Gaussians at the end; mrgs-plus may have three times as many before."""
+    """Maximum number of Gaussians."""
     resolution: Maybe[int] = None
     """Downscale images wider than this many pixels."""
     jobs: int = 1

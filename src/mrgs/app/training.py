@@ -161,7 +161,8 @@ def _within_minutes(command: Train, method: Method, config: Any, device: DeviceN
     options = TrainOptions(device=device, plain=command.plain)
     pace = measure_pace(method, command.scene, config, options)
     left_s = command.minutes * 60 - (time.monotonic() - started)
-    steps = steps_within(left_s, pace, config if method.has_gaussians else None)
+    most = config.densification.max_gaussians if method.has_gaussians else None
+    steps = steps_within(left_s, pace, most)
     print(f"{steps:,} steps fit into {command.minutes:g} min", flush=True)
     config = _configured(command, method, steps)
     if config.max_steps != steps:

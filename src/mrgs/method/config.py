@@ -66,9 +66,6 @@ PLUS_LOSS = {
 """The losses of ``mrgs-plus`` in all presets: temperatures are smooth where the colours are, and
 noise counts by its squares (docs/decisions, 049)."""
 
-PLUS_OVERSHOOT = 3.0
-"""How many times more Gaussians ``mrgs-plus`` has for a while than at the end (decision 075)."""
-
 PLUS_DILATION_PX2 = 0.1
 """Dilation of ``mrgs-plus``: about the variance of a square pixel, 1/12 px². With 0.3 a rendering
 is blurrier than what a pixel averages, and Gaussians become too thin (docs/decisions, 050)."""
@@ -196,11 +193,10 @@ def make_config(
         method: ``mrgs`` is the published method, ``mrgs-base``, ``mrgs-fourier`` and ``mrgs-boltz``
             are its ablations, ``3dgs-rgbt`` is its baseline; ``mrgs-plus`` also models the thermal
             camera.
-        preset: ``default`` (4,000 steps, at most 50,000 Gaussians; ``mrgs-plus`` ends with half of
-            them) and ``fast`` (1,500 and 20,000) suit CPUs; ``paper`` is the published schedule of
-            30,000 steps.
+        preset: ``default`` (4,000 steps, at most 50,000 Gaussians) and ``fast`` (1,500 and 20,000)
+            suit CPUs; ``paper`` is the published schedule of 30,000 steps.
         max_steps: the preset's whole schedule is stretched or shrunk to them.
-        max_gaussians: cap on the Gaussians at the end; None for the preset's.
+        max_gaussians: cap on the Gaussians; None for the preset's.
         resolution: photos wider than this many pixels are reduced to it.
         seed: of every random choice.
         batch: views per step; with several, fewer and larger steps are taken.
@@ -247,14 +243,9 @@ def _without_boltz(config: TrainConfig) -> TrainConfig:
 def _plus(config: TrainConfig) -> TrainConfig:
     """Two opacities, temperatures of their own, a model of the thermal camera, L_opaque and L_dist;
     without embedding, heads, heat transformation and L_boltz, which gain nothing beside them. Start
-    and losses are the same in all presets; those for CPUs remove surplus Gaussians."""
-    density = config.densification
-    if config.preset != "paper":
-        most = density.max_gaussians // 2
-        density = replace(density, max_gaussians=most, overshoot=PLUS_OVERSHOOT)
+    and losses are the same in all presets."""
     return replace(
         config,
-        densification=density,
         distant_points=True,
         photo_temperatures=True,
         temperature_sh_degree=None,

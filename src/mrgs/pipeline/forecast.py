@@ -15,13 +15,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from mrgs.errors import MrgsError
 from mrgs.export.page.write import MOST_PHOTOS
 from mrgs.export.write import BAKING
 from mrgs.method.config import TrainConfig
-from mrgs.method.density import ConfiguredStrategy
 from mrgs.pipeline.plan import QUALITIES, Intake, Quality, Size, take_in
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.options import PrepareOptions
@@ -54,7 +51,7 @@ class Workload:
         source_px: pixels of a view's images as they are.
         kpx: thousands of pixels of a view's images in training, at their full resolution.
         mean_kpx: the same as a mean over the steps, of which the first are coarser.
-        mean_gaussians: Gaussians as a mean over the steps.
+        start: Gaussians at the start.
         gaussians: Gaussians at the end.
         photos: whether the scene is made from photos.
         finds_poses: whether their poses must be found.
@@ -66,7 +63,7 @@ class Workload:
     source_px: int
     kpx: float
     mean_kpx: float
-    mean_gaussians: float
+    start: int
     gaussians: int
     steps: int
     photos: bool = False
@@ -79,14 +76,14 @@ class Workload:
         """The workload of photos or a scene at a quality."""
         sizes = [reduced(size, quality.resolution) for size in intake.sizes.values()]
         start = 450 * intake.views if intake.points is None else intake.points
-        photos, config = intake.kind == "photos", quality.config()
+        photos = intake.kind == "photos"
         return cls(
             views=intake.views,
             held_out=intake.held_out,
             source_px=sum(map(math.prod, intake.sizes.values())),
             kpx=sum(map(math.prod, sizes)) / 1e3,
-            mean_kpx=mean_kpx(sizes, config),
-            mean_gaussians=mean_gaussians(start, config.densification, config.max_steps),
+            mean_kpx=mean_kpx(sizes, quality.config()),
+            start=min(start, quality.max_gaussians),
             gaussians=quality.max_gaussians,
             steps=quality.max_steps,
             photos=photos,
@@ -120,12 +117,9 @@ def mean_kpx(sizes: Sequence[Size], config: TrainConfig) -> float:
     )
 
 
-def mean_gaussians(start: int, density: ConfiguredStrategy, steps: int) -> float:
+def mean_gaussians(start: int, most: int) -> float:
     """Mean number of Gaussians over a training: a ramp from the start to the cap, then the cap."""
-    done = np.linspace(0, 1, 101)
-    ramp = start + (density.peak - start) * np.minimum(done / MATURE, 1)
-    caps = [density.cap_at(round(share * steps)) for share in done]
-    return float(np.minimum(ramp, caps).mean())
+    return MATURE * (start + most) / 2 + (1 - MATURE) * most
 
 
 def step_seconds(gaussians: float, kpx: float) -> float:
@@ -138,7 +132,7 @@ def stage_parts(work: Workload, cores: int | None = None) -> dict[str, dict[str,
     views, held_out, kpx, million = work.views, work.held_out, work.kpx, work.gaussians / 1e6
     render = 0.004 + 0.6 * million + 0.06e-3 * kpx
     surface = views * (render + 0.1e-3 * kpx)
-    step = step_seconds(work.mean_gaussians, work.mean_kpx)
+    step = step_seconds(mean_gaussians(work.start, work.gaussians), work.mean_kpx)
     baking = 0.5 + 0.002 * views + 2 * held_out * render
     stages = {
         "prepare" if work.photos else "check": _prepare_parts(work),
@@ -319,12 +313,12 @@ def measure_pace(
     return Pace(times[0] - called, statistics.median(steps), **found)
 
 
-def steps_within(seconds: float, pace: Pace, config: TrainConfig | None) -> int:
-    """The steps that fit into a time from the start of a training, of Gaussians by ``config``, at
-    least one, by the model of a pipeline's training: more Gaussians take longer, coarse photos
+def steps_within(seconds: float, pace: Pace, max_gaussians: int | None) -> int:
+    """The steps that fit into a time from the start of a training with this cap on the Gaussians,
+    at least one, by the model of a pipeline's training: more Gaussians take longer, coarse photos
     less."""
     growth = 1.0
-    if config is not None and pace.gaussians:
-        mean = mean_gaussians(pace.gaussians, config.densification, config.max_steps)
+    if max_gaussians is not None and pace.gaussians:
+        mean = mean_gaussians(pace.gaussians, max(max_gaussians, pace.gaussians))
         growth = step_seconds(mean, pace.mean_kpx) / step_seconds(pace.gaussians, pace.kpx)
     return max(1, int((seconds - pace.loading_s) / (MARGIN * growth * pace.step_s)))

@@ -222,9 +222,9 @@ class Quality:
 QUALITIES: dict[str, Quality] = {
     each.name: each
     for each in (
-        Quality("fast", "fast", 1_500, 10_000, 640),
-        Quality("default", "default", 4_000, 25_000, 1_024),
-        Quality("best", "default", 8_000, 50_000, 1_600),
+        Quality("fast", "fast", 1_500, 20_000, 640),
+        Quality("default", "default", 4_000, 50_000, 1_024),
+        Quality("best", "default", 8_000, 100_000, 1_600),
     )
 }
 
