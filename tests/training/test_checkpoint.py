@@ -60,7 +60,7 @@ def state(small_scene, config) -> TrainingState:
         photos = {each: image.load() for each, image in view.images.items()}
         scale = SceneScale(scene.extent, scene.temperature)
         result = step.training_step(state, [PhotographedView(number, view, photos)], config, scale)
-        step.control_density(state, result, config, SceneScale.of(scene), ())
+        step.control_density(state, result, config, scene.extent)
     return state
 
 

@@ -180,7 +180,7 @@ def start(small_scene):
                 result = training_step(
                     state, [PhotographedView(number, view, photos)], config, scale
                 )
-                control_density(state, result, config, scale, ())
+                control_density(state, result, config, scale.extent)
                 return result.statistics
 
             return step
@@ -223,7 +223,7 @@ def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene):
 
     def take() -> None:
         result = training_step(state, [PhotographedView(0, view, photos)], config, scale)
-        control_density(state, result, config, scale, ())
+        control_density(state, result, config, scale.extent)
 
     for _ in range(2):
         take()
@@ -300,7 +300,7 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, stop_kernels, monke
     scale = SceneScale(scene.extent, scene.temperature)
     for number in (1, 2):
         result = training_step(state, [PhotographedView(0, view, photos)], config, scale)
-        control_density(state, result, config, scale, ())
+        control_density(state, result, config, scale.extent)
         assert result.statistics.step == number
         assert result.statistics._measured.device == device
     for name, tensor in tensors_of(state).items():

@@ -35,7 +35,7 @@ def photos_of(view) -> Photos:
 def take(state, scene, config, number: int = 0, photos: Photos | None = None) -> StepStatistics:
     """A step, and density control after it."""
     result = do_step(state, scene, config, number, photos)
-    control_density(state, result, config, SceneScale.of(scene), ())
+    control_density(state, result, config, scene.extent)
     return result.statistics
 
 
@@ -286,7 +286,7 @@ def test_neighbours_are_searched_again_on_schedule_and_when_rows_change(make_sta
     for number in range(5):
         result = do_step(state, scene, config, number)
         seen.append(state.model.neighbours)
-        control_density(state, result, config, SceneScale.of(scene), ())
+        control_density(state, result, config, scene.extent)
     assert seen[0] is seen[1]
     assert seen[2] is not seen[1]
     assert seen[3] is seen[2]
@@ -307,7 +307,7 @@ def test_large_gaussians_are_pruned_after_the_first_reset_but_for_a_sky(distant_
     count, state.step = len(state.model.gaussians), 4
     statistics = StepStatistics(4, 0.0, {}, None, count, skipped=False)
     done = StepResult(statistics, dict(state.strategy_state), torch.tensor(True))
-    control_density(state, done, config, SceneScale.of(scene), ())
+    control_density(state, done, config, scene.extent)
     assert count - len(state.model.gaussians) == (0 if distant_points else 3)
 
 
@@ -319,16 +319,16 @@ def test_density_control_starts_the_statistics_anew_and_resets_opacities(make_st
     config = replace(config, densification=schedule)
     scene, state = make_start(config)
     result = do_step(state, scene, config, 0)
-    assert control_density(state, result, config, SceneScale.of(scene), ()) is None
+    assert control_density(state, result, config, scene.extent) is None
     assert state.strategy_state["views"].sum() > 0
     result = do_step(state, scene, config, 1)
-    counts = control_density(state, result, config, SceneScale.of(scene), ())
+    counts = control_density(state, result, config, scene.extent)
     assert counts["cloned"] + counts["split"] == 25
     assert state.strategy_state["views"].tolist() == [0.0] * 50
     assert state.gaussian_optimizer.gaussians is state.model.gaussians
     assert state.model.gaussians.opacity(RGB).max() > 0.05
     result = do_step(state, scene, config, 2)
-    control_density(state, result, config, SceneScale.of(scene), ())
+    control_density(state, result, config, scene.extent)
     assert state.model.gaussians.opacity(RGB).max() <= 0.01 + 1e-6
     assert state.model.gaussians.opacity(THERMAL).max() <= 0.01 + 1e-6
 
@@ -340,10 +340,10 @@ def test_density_control_learns_nothing_of_a_step_that_is_not_finite(make_start)
     )
     config = replace(config, densification=schedule)
     scene, state = make_start(config)
-    control_density(state, do_step(state, scene, config, 0), config, SceneScale.of(scene), ())
+    control_density(state, do_step(state, scene, config, 0), config, scene.extent)
     before = {name: tensor.clone() for name, tensor in state.strategy_state.items()}
     poisoned = do_step(state, scene, config, 1, with_nan(photos_of(scene.train[1])))
-    assert control_density(state, poisoned, config, SceneScale.of(scene), ()) is None
+    assert control_density(state, poisoned, config, scene.extent) is None
     assert all(torch.equal(state.strategy_state[name], before[name]) for name in before)
     assert len(state.model.gaussians) == 25
     assert state.model.gaussians.opacity(RGB).max() > 0.05
@@ -354,7 +354,7 @@ def test_wherever_memory_runs_out_in_density_control_nothing_has_changed(make_st
     schedule = replace(config.densification, start=0, every=2, stop=4, gradient_threshold=0.0)
     config = replace(config, densification=replace(schedule, reset_every=2))
     scene, state = make_start(config)
-    control_density(state, do_step(state, scene, config, 0), config, SceneScale.of(scene), ())
+    control_density(state, do_step(state, scene, config, 0), config, scene.extent)
     result = do_step(state, scene, config, 1)
     before, generator = tensors_of(state), state.generator.get_state()
     tensors = 0
@@ -364,7 +364,7 @@ def test_wherever_memory_runs_out_in_density_control_nothing_has_changed(make_st
         assert all(torch.equal(now[name], before[name]) for name in before)
         state.generator.set_state(generator)
         with suppress(torch.cuda.OutOfMemoryError), FullAt(tensors):
-            control_density(state, result, config, SceneScale.of(scene), ())
+            control_density(state, result, config, scene.extent)
         tensors += 1
     assert tensors > 50
     assert len(state.model.gaussians) == 50

@@ -339,7 +339,7 @@ def _plan(scene: Scene, config: RunConfig) -> str:
     text = f"{config.method}, {config.max_steps:,} steps"
     if not isinstance(config, TrainConfig):
         return text
-    cap, compiles = config.densification.peak, not are_compiled()
+    cap, compiles = config.densification.max_gaussians, not are_compiled()
     start = min(len(scene.points.positions), cap)
     first = estimate_bytes(scene, config, start, compiles=compiles)  # once, for it reads photos
     each = gaussian_bytes(config, scene.modalities, Capture.of(scene))
@@ -360,7 +360,7 @@ def _hint_at_resolution(scene: Scene, config: RunConfig) -> str | None:
         return None
     cameras = scene.train[0].cameras.values()
     widest = max(cameras, key=lambda camera: camera.width)
-    cap, step_s = config.densification.peak, {}
+    cap, step_s = config.densification.max_gaussians, {}
     for width in (widest.width, min(widest.width, LARGE_PX)):
         pixels = sum(each.width * each.height * min(1, width / each.width) ** 2 for each in cameras)
         step_s[width] = step_seconds(cap, pixels / 1e3)

@@ -98,10 +98,6 @@ class LocalDensityControl(Strategy):
         pixel that counts here shows what they do elsewhere."""
         return self.part.holds(gaussians)
 
-    @property
-    def peak(self) -> int:  # noqa: D102
-        return self.inner.peak
-
     def observe(  # noqa: D102
         self, passes: Sequence[ScreenPoints]
     ) -> Mapping[str, Float[Tensor, " n"]]:
@@ -110,14 +106,9 @@ class LocalDensityControl(Strategy):
     def after_step(  # noqa: D102
         self, state: StrategyState, optimizer: GaussianOptimizer, step: DensityStep
     ) -> DensityUpdate:
-        whole = step
         inside = self.movable(optimizer.gaussians)
         observed = {name: torch.where(inside, each, 0) for name, each in step.observed.items()}
-        step = step._replace(
-            observed=observed,
-            removal_errors=lambda: torch.where(inside, whole.removal_errors(), torch.inf),
-        )
-        return self.inner.after_step(state, optimizer, step)
+        return self.inner.after_step(state, optimizer, step._replace(observed=observed))
 
 
 @dataclass(frozen=True)
@@ -180,9 +171,11 @@ class Refinement:
     @property
     def training_part(self) -> TrainingPart:
         """What a training must know to refine the part."""
-        inner = self.density.beside(int((~self.inside).sum()))
-        most = inner.max_gaussians
-        strategy = LocalDensityControl(max_gaussians=most, inner=inner, part=self.part)
+        fixed = int((~self.inside).sum())
+        most = self.density.max_gaussians + fixed
+        strategy = LocalDensityControl(
+            max_gaussians=most, inner=replace(self.density, max_gaussians=most), part=self.part
+        )
         return TrainingPart(self.views, strategy, partial(self._initial_state, strategy))
 
     def _initial_state(
@@ -207,7 +200,7 @@ class Refinement:
         config = replace(config, distant_points=False)
         generator = torch.Generator().manual_seed(config.seed)
         start = start_points(replace(scene, points=points, train=views), config)
-        start = start.at_most(self.density.peak, generator)
+        start = start.at_most(self.density.max_gaussians, generator)
         field = self.start.model.field
         apart = tuple(self.start.model.gaussians.opacity_logits)
         degree = config.temperature_sh_degree_of(Capture.of(scene))

@@ -25,9 +25,8 @@ from mrgs.system.torch_modes import own_modes
 from mrgs.training import checkpoint
 from mrgs.training.kernel_check import check_kernels, custom_definitions
 from mrgs.training.photos import TrainingPhotos
-from mrgs.training.pose_check import PoseCheck, checks_poses_now, spread
+from mrgs.training.pose_check import PoseCheck, checks_poses_now
 from mrgs.training.recorder import Recorder
-from mrgs.training.removal import MOST_VIEWS
 from mrgs.training.state import TrainingState
 from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
 from mrgs.training.view_pass import PhotographedView
@@ -223,9 +222,8 @@ class Trainer:
         poses.note_checked()
 
     def _control_density(self, result: StepResult) -> None:
-        state, count = self.state, len(self.scene.train)
-        views = map(self._with_photos, spread(count, MOST_VIEWS))
-        counts = control_density(state, result, self.config, self._scale, views)
+        state = self.state
+        counts = control_density(state, result, self.config, self._scale.extent)
         if counts is None:
             return
         gaussians = len(state.model.gaussians)

@@ -149,7 +149,7 @@ def open_training(
         if options.resume:
             warn_of_missing(folder.custom_parts)
         folder.note_custom_parts(_custom_parts(config, loaded, custom, terms))
-        most = max(config.densification.peak, len(state.model.gaussians))
+        most = max(config.densification.max_gaussians, len(state.model.gaussians))
         size = checkpoint_bytes(config, loaded.modalities, most)
         # The kept checkpoints and the one being written.
         warn_if_short(folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")

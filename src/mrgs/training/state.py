@@ -226,7 +226,7 @@ def initial_state(
         all_terms = configured_terms(config, terms, model_modalities(scene.modalities))
         field.set_frame(scene.points.positions)
         shown = without_camera(scene, cameras)
-        points = start_points(shown, config).at_most(strategy.peak, generator)
+        points = start_points(shown, config).at_most(strategy.max_gaussians, generator)
         degree = config.temperature_sh_degree_of(capture)
         gaussians = initial_gaussians(points, field, apart, degree)
         steps = config.fitted_residuals

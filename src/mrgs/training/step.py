@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -15,7 +14,6 @@ from mrgs.method.density import DensityStep
 from mrgs.method.losses.term import SceneScale
 from mrgs.run_files.record import StepStatistics
 from mrgs.training.recorder import Recorder
-from mrgs.training.removal import removal_errors
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import (
     PhotographedView,
@@ -113,22 +111,16 @@ def _move(
 
 
 def control_density(
-    state: TrainingState,
-    result: StepResult,
-    config: TrainConfig,
-    scale: SceneScale,
-    views: Iterable[PhotographedView],
+    state: TrainingState, result: StepResult, config: TrainConfig, extent: float
 ) -> Mapping[str, int] | None:
     """Let the strategy adapt the Gaussians after a step, in place; its counts for the log, None if
-    it left the rows as they are. If a GPU's memory is full, nothing has changed. ``views`` are read
-    where the strategy asks what leaving a Gaussian out would change."""
+    it left the rows as they are. If a GPU's memory is full, nothing has changed."""
     strategy, before = state.strategy, state.model.gaussians.means
-    items = result.observed.items()
-    observed = {name: torch.where(result.finite, value, 0) for name, value in items}
+    views = result.observed.items()
+    observed = {name: torch.where(result.finite, value, 0) for name, value in views}
     step = DensityStep(
-        state.step, scale.extent, config.distant_points, observed, result.finite, state.generator,
-        partial(removal_errors, state, views, config, scale),
-    )  # fmt: skip
+        state.step, extent, config.distant_points, observed, result.finite, state.generator
+    )
     update = strategy.after_step(state.strategy_state, state.gaussian_optimizer, step)
     state.strategy_state = update.state
     if state.model.gaussians.means is not before:

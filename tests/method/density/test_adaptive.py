@@ -173,12 +173,6 @@ def test_the_generator_decides():
     assert not torch.equal(means(1), means(2))
 
 
-def after(number: int, observed=None, removal_errors=None) -> DensityStep:
-    observed = {"gradient_sum": torch.zeros(8), "views": torch.zeros(8)} | (observed or {})
-    good, generator = torch.tensor(True), torch.Generator()
-    return DensityStep(number, EXTENT, False, observed, good, generator, removal_errors)
-
-
 def screen_points(gradient: list[list[float]], radii: list[float], size=(40, 30)) -> ScreenPoints:
     offset = torch.zeros(len(radii), 2, requires_grad=True)
     offset.grad = torch.tensor(gradient)
@@ -193,7 +187,7 @@ def test_statistics_are_means_over_the_views_that_drew():
         screen_points([[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]], [5.0, 0.0, 0.0]),
     ):
         observed = CONFIG.observe([points])
-        step = after(1, observed)
+        step = DensityStep(1, EXTENT, False, observed, torch.tensor(True), torch.Generator())
         state = CONFIG.after_step(state, optimizer, step).state
     assert state["views"].tolist() == [2, 1, 0]
     # in units of half the image: 20 px wide, 15 px high
@@ -208,30 +202,6 @@ def test_two_passes_of_a_view_add_up_and_count_once():
     state = CONFIG.observe([rgb, thermal])
     assert state["views"].tolist() == [1, 1]
     torch.testing.assert_close(mean_gradients(state), torch.tensor([0.1 * 20 + 0.1 * 5, 0.1 * 10]))
-
-
-def test_those_that_the_photos_need_least_go_after_the_densification():
-    config = replace(CONFIG, start=0, stop=100, max_gaussians=3, overshoot=8 / 3)
-    optimizer = build([SMALL] * 8)
-    means = optimizer.gaussians.means.detach().clone()
-    assert [config.cap_at(step) for step in (1, 100, 101, 120, 121, 140, 141, 999)] == [
-        8, 8, 6, 6, 4, 4, 3, 3,
-    ]  # fmt: skip
-    state = config.initial_state(optimizer.gaussians)
-    state["views"] += torch.arange(8)
-    update = config.after_step(state, optimizer, after(99))
-    assert update.counts is None
-    errors = torch.tensor([5.0, 1.0, 7.0, 3.0, 8.0, 2.0, 6.0, 4.0])
-    update = config.after_step(update.state, optimizer, after(101, removal_errors=lambda: errors))
-    assert update.counts == {"pruned": 2}
-    assert torch.equal(optimizer.gaussians.means, means[[0, 2, 3, 4, 6, 7]])
-    assert update.state["views"].tolist() == [0, 2, 3, 4, 6, 7]
-
-
-def test_gaussians_beside_others_keep_their_own_cap():
-    config = replace(CONFIG, max_gaussians=100, overshoot=3.0).beside(50)
-    assert (config.max_gaussians, config.peak) == (150, 350)
-    assert replace(CONFIG, max_gaussians=100).beside(50).peak == 150
 
 
 def test_the_schedule():
@@ -252,7 +222,6 @@ def test_the_schedule():
     [
         ({"every": 0}, "every .*not 0"),
         ({"max_gaussians": 0}, "max_gaussians .*not 0"),
-        ({"overshoot": 0.5}, "overshoot .*0.5"),
         ({"prune_opacity": 0.5}, "prune_opacity < reset_opacity"),
     ],
 )

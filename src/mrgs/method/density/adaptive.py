@@ -1,7 +1,6 @@
 """3DGS's adaptive density control: clone, split, prune, opacity reset; with a cap on the number of
-Gaussians, and a removal of those that the photos need least, which is not 3DGS's. The screen-space
-gradient is that of the whole loss with respect to the projected centre, summed over a fused pass's
-blends; where cameras differ, both passes' norms are added."""
+Gaussians. The screen-space gradient is that of the whole loss with respect to the projected centre,
+summed over a fused pass's blends; where cameras differ, both passes' norms are added."""
 
 from __future__ import annotations
 
@@ -24,11 +23,6 @@ from mrgs.system.strict_yaml import MOST_STEPS, MOST_WEIGHT, require_within
 SPLIT_INTO = 2
 SPLIT_SHRINK = 1.6
 """A split Gaussian becomes two, each 1.6 times smaller (3DGS)."""
-
-MOST_OVERSHOOT = 20
-
-SHRINK_AT = (1.0, 1.2, 1.4)
-"""After these multiples of the last step of densification a part of the surplus is removed."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +48,6 @@ class AdaptiveDensityControl(Strategy):
         reset_every: steps between opacity resets, up to ``stop``.
         reset_opacity: what opacities are brought down to.
         max_gaussians: the cap; those with the largest gradients come first.
-        overshoot: up to ``stop`` the cap is so many times larger. Then those without which photos
-            change least (``DensityStep.removal_errors``) are removed, in three steps.
     """
 
     name: Literal["adaptive"] = "adaptive"
@@ -68,7 +60,6 @@ class AdaptiveDensityControl(Strategy):
     prune_above: float = 0.1
     reset_every: int = 3_000
     reset_opacity: float = 0.01
-    overshoot: float = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -79,7 +70,6 @@ class AdaptiveDensityControl(Strategy):
         require_within(self, sizes, 0, MOST_WEIGHT, title)
         if not 0 < self.prune_opacity < self.reset_opacity < 1:
             raise ConfigError("densification: 0 < prune_opacity < reset_opacity < 1 must hold")
-        require_within(self, ("overshoot",), 1, MOST_OVERSHOOT, title)
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:
         """No view drew any of them yet."""
@@ -106,11 +96,9 @@ class AdaptiveDensityControl(Strategy):
         """Add the views' gradients; clone, split, prune and reset when they are due."""
         state = {name: total + step.observed[name] for name, total in state.items()}
         densifies, resets = self.densifies_at(step.number), self.resets_at(step.number)
-        counts, gaussians = None, optimizer.gaussians
-        most = self.cap_at(step.number)
-        shrinks = most < self.cap_at(step.number - 1) and most < len(gaussians)
-        if not (densifies or resets or shrinks) or step.skipped:
+        if not (densifies or resets) or step.skipped:
             return DensityUpdate(state)
+        counts, gaussians = None, optimizer.gaussians
         if densifies:
             gradients = mean_gradients(state)
             prunes_large = step.number > self.reset_every and not step.has_sky
@@ -118,28 +106,9 @@ class AdaptiveDensityControl(Strategy):
             state = _no_views(len(change.keep) + len(change.added), change.keep.device)
             optimizer.replace_rows(change.keep, change.added)
             counts = change.counts
-        if shrinks:
-            keep = step.removal_errors().topk(most).indices.sort().values
-            state = {name: total[keep] for name, total in state.items()}
-            counts = {"pruned": len(gaussians) - most}
-            optimizer.replace_rows(keep, gaussians.rows(keep[:0]))
         if resets:
             optimizer.limit_opacities(self.reset_opacity)
         return DensityUpdate(state, counts)
-
-    @property
-    def peak(self) -> int:
-        """The cap up to ``stop``."""
-        return round(self.overshoot * self.max_gaussians)
-
-    def cap_at(self, step: int) -> int:
-        """The most Gaussians after a step."""
-        left = sum(step <= at * self.stop for at in SHRINK_AT) / len(SHRINK_AT)
-        return round(self.max_gaussians * self.overshoot**left)
-
-    def beside(self, others: int) -> AdaptiveDensityControl:  # noqa: D102
-        most = self.max_gaussians + others
-        return replace(self, max_gaussians=most, overshoot=(self.peak + others) / most)
 
     def rescaled(self, factor: float) -> AdaptiveDensityControl:
         """Start and stop move; opacity resets do not move closer together: the opacities need a
@@ -218,7 +187,7 @@ def _within_budget(
 ) -> Bool[Tensor, " n"]:
     """Which Gaussians densify: each adds one, and the cap lets only the largest gradients do so."""
     chosen = gradients >= config.gradient_threshold
-    budget = max(config.peak - count, 0)
+    budget = max(config.max_gaussians - count, 0)
     if int(chosen.sum()) > budget:
         ranked = torch.where(chosen, gradients, -1).argsort(descending=True, stable=True)
         chosen = torch.zeros_like(chosen)

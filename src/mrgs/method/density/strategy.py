@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import NamedTuple, TypeAlias
 
 import torch
@@ -33,8 +33,6 @@ class DensityStep(NamedTuple):
         observed: sums of what ``observe`` found in the step's views; zeros where it was skipped.
         finite: False where the step did not count: loss or a gradient was not finite.
         generator: of every random choice, on the CPU.
-        removal_errors: by how much leaving each Gaussian out would raise the squared errors of
-            photos, as a share of them, summed over modalities; computed when it is called.
     """
 
     number: int
@@ -43,7 +41,6 @@ class DensityStep(NamedTuple):
     observed: Mapping[str, Float[Tensor, " n"]]
     finite: Bool[Tensor, ""]
     generator: torch.Generator
-    removal_errors: Callable[[], Float[Tensor, " n"]]
 
     @property
     def skipped(self) -> bool:
@@ -65,7 +62,7 @@ class Strategy(ABC):
     frozen dataclass and give an instance to ``train(..., strategy=...)``; to name it in a
     config.yaml, add a field ``name: Literal["..."]``, and it to
     ``mrgs.method.density.ConfiguredStrategy``. ``max_gaussians`` is the cap on their number, at the
-    start and at the end."""
+    start too."""
 
     max_gaussians: int = 5_000_000
 
@@ -76,15 +73,6 @@ class Strategy(ABC):
                 f"{shown(self.max_gaussians)}",
                 options=("max_gaussians",),
             )
-
-    @property
-    def peak(self) -> int:
-        """The most Gaussians that there may be at any time."""
-        return self.max_gaussians
-
-    def beside(self, others: int) -> Strategy:
-        """The same settings beside so many Gaussians that stay."""
-        return replace(self, max_gaussians=self.max_gaussians + others)
 
     def settings(self) -> Mapping[str, object]:
         """What a resumed run must have as it began, by name: all fields. They are compared by their
