@@ -63,11 +63,11 @@ BEGINS, CONTINUES = 0.6, 0.5
 CORE = 0.5
 """A change is where ΔT is at least this share of its largest values, the upper twentieth."""
 
-FEWEST_PHOTOS = 2
+FEWEST_PHOTOS = 3
 """Photos of each date that must show a place: nothing confirms the depth of what one shows."""
 
 FEWEST_PLACES = 8
-LEAST_PX = 3.0
+LEAST_PX = 2.0
 """Width of a change, in pixels of the photos: a camera measures nothing narrower."""
 
 CERTAIN = 2.0
