@@ -65,8 +65,7 @@ COLUMNS = {
 
 Kept = Mapping[str, Any]
 """What ``keep`` returns: ``command``, ``commit``, the ``baseline`` that others are compared with,
-``columns`` as a name of ``COLUMNS``,
-and ``runs``, each with its scene, method, seed and figures."""
+``columns`` as a name of ``COLUMNS``, and ``runs``: scene, method, seed and figures of each."""
 
 
 def keep(
@@ -78,6 +77,9 @@ def keep(
         for folder in folders
         for run in json.loads((folder / "results.json").read_text(encoding="utf-8"))["runs"]
     ]
+    named = [(run["scene"], run["method"], run["seed"]) for _, run in every]
+    if len(set(named)) < len(named):
+        raise SystemExit("two of the folders have runs of one scene, method and seed")
     runs = [
         {
             "scene": run["scene"],
@@ -153,13 +155,16 @@ def table(kept: Kept) -> str:
         "|---" * (1 + 2 * len(heads)) + "|",
     ]
     for method in methods:
-        own = [scene for scene in scenes if _of_scene(runs, scene, method)]
+        both = method, baseline
+        own = [scene for scene in scenes if all(_of_scene(runs, scene, each) for each in both)]
         cells = [f"`{method}`" + (f", {len(own)} of them" if len(own) < len(scenes) else "")]
         for column in columns:
             found, compared = (
-                [_of_scene(runs, scene, each, column.figure) for scene in own]
-                for each in (method, baseline)
+                [_of_scene(runs, scene, each, column.figure) for scene in own] for each in both
             )
+            if not found or not all(found + compared):
+                cells += ["–", "" if method == baseline else "–"]
+                continue
             cells.append(_mean_text(found, column))
             cells.append("" if method == baseline else _compared(found, compared, column))
         lines.append("| " + " | ".join(cells) + " |")
@@ -198,7 +203,7 @@ def difference_text(differences: Sequence[float], decimals: int) -> str:
 
 def _mean_text(found: Sequence[Sequence[float]], column: Column) -> str:
     """The mean over the scenes ± standard deviation over the seeds."""
-    means = [mean(of_seed) for of_seed in zip(*found, strict=True)]
+    means = [mean(of_seed) for of_seed in zip(*found, strict=False)]  # a seed may have failed
     spread = f" ± {stdev(means):.{column.decimals}f}" if len(means) > 1 else ""
     return f"{mean(means):.{column.decimals}f}{spread} {column.unit}".rstrip()
 
@@ -209,7 +214,9 @@ def _of_scene(
     """A figure of each seed, in their order; their numbers without one."""
     chosen = [run for run in runs if (run["scene"], run["method"]) == (scene, method)]
     chosen = sorted(chosen, key=lambda run: run["seed"])
-    return [run["figures"][figure] if figure else run["seed"] for run in chosen]
+    if not figure:
+        return [run["seed"] for run in chosen]
+    return [run["figures"][figure] for run in chosen if figure in run["figures"]]
 
 
 def _rounded(value: float) -> float:

@@ -133,7 +133,7 @@ def _outcome(
             sign = step or each["after"]["kelvin"] * (
                 each["after"]["radius_m"] - each["before"]["radius_m"]
             )
-            reach = 1.3 * radius + REACH_PX * found.surface.pixel
+            reach = radius + REACH_PX * found.surface.pixel
             if np.median(distance) < reach and sign * change.difference > 0:
                 hit.setdefault(number, []).append(change.kind)
         print("   ", text)

@@ -68,6 +68,14 @@ def test_a_method_that_not_all_scenes_have_is_compared_on_its_own():
     assert lines[3].startswith("| `b`, 1 of them | 2.50 ± 0.71 dB | +1.00 |")
 
 
+def test_a_figure_that_a_scene_lacks_is_a_dash():
+    runs = [{**run, "figures": {**run["figures"]}} for run in kept()["runs"]]
+    del runs[-1]["figures"]["rgb.psnr_matched"], runs[-2]["figures"]["rgb.psnr_matched"]
+    row = experiments.table(kept(runs=runs)).splitlines()[3].split(" | ")
+    assert row[3:5] == ["–", "–"]
+    assert row[1].startswith("4.25")
+
+
 def test_ratios_are_geometric_means():
     column = experiments.Column("gaussians_k", "Gaussians", 0, "K", is_ratio=True)
     assert experiments._compared([[2.0], [2.0]], [[1.0], [4.0]], column).startswith("100 % (")

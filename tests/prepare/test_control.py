@@ -26,6 +26,7 @@ from mrgs.prepare.control import (
     read_control,
 )
 from mrgs.prepare.georeference import apply, centres, georeference
+from mrgs.prepare.rig.chessboard import saddle_near
 from mrgs.scene import PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
 
@@ -138,6 +139,30 @@ def test_marks_of_chequer_targets_are_moved_to_their_middle():
         for each in (rough, found)
     ]
     assert check_m[1] < check_m[0] / 5
+
+
+@pytest.mark.parametrize("blur_px", [0.8, 1.5, 3.0])
+def test_texture_is_no_chequer_target(blur_px):
+    rng = np.random.default_rng(0)
+    images = gaussian_filter(rng.normal(size=(40, 120, 120)), (0, blur_px, blur_px))
+    found = [saddle_near(30 * image, np.array([60.0, 60.0]), 8.0) for image in images]
+    assert sum(each is not None for each in found) <= 3
+
+
+def test_of_the_corners_of_a_board_the_nearest_is_meant():
+    y, x = np.mgrid[:120, :120] // 12
+    board = gaussian_filter(100.0 * ((x + y) % 2), 0.7)
+    found = saddle_near(board, np.array([60.7, 47.6]), 8.0)
+    assert found == pytest.approx((60.0, 48.0), abs=0.1)
+
+
+def test_a_target_is_found_beside_invalid_pixels_and_in_16_bits():
+    image = targets("v0", "A")
+    (u, v) = marks(PLACES["A"])["v0"]
+    image = 30_000 + 0.05 * image
+    image[int(v) - 9, int(u) - 12] = np.nan
+    found = saddle_near(image, np.array([u + 1.5, v - 1]), 4.0)
+    assert found == pytest.approx((u, v), abs=0.2)
 
 
 def test_a_mark_beside_no_chequer_target_counts_as_it_is():

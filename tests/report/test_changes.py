@@ -278,16 +278,24 @@ def test_places_are_as_far_apart_as_pixels_of_the_coarser_date(found, monkeypatc
     assert surface.pixel == pytest.approx(0.2 / SCALE, rel=0.01)
 
 
-def test_a_place_that_one_photo_alone_shows_is_not_compared(found):
+def test_a_place_that_two_photos_show_is_not_compared(found):
     date = found.dates[0]
     points = np.concatenate([each.points() for each in date.meter.survey])[::50]
     photos = np.zeros(len(points), int)
     for each in date.meter.survey:
         photos[each.shown(points.astype(np.float32)).rows] += 1
     compared = np.isfinite(date.celsius(points)[0])
-    assert (photos == 1).any()
-    assert not compared[photos < 2].any()
-    assert compared[photos > 2].mean() > 0.9
+    assert (photos == 2).any()
+    assert compared[photos < 3].mean() < 0.05  # on outlines photos show a place, but no temperature
+    assert compared[photos > 3].mean() > 0.9
+
+
+def test_of_many_photos_fewer_are_surveyed_and_must_show_a_place(found):
+    date = copy(found.dates[0])
+    many = replace(date.scene, train=date.scene.train * 40)
+    marked = open_marks(date.run, many)
+    assert len(many.train) == 200
+    assert _Date(marked, date.marks, 1, False).fewest == round(3 * 64 / 200)
 
 
 def test_changes_have_names_of_their_own(first, second, found):

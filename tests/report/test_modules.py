@@ -97,6 +97,7 @@ def test_without_sun_enough_nothing_is_normalised(irradiance):
     assert judged(celsius, 700.0, None)[3]["lost_w"] is None
     assert judged(celsius, 700.0, None)[3]["lost_kwh"] is None
     assert judged(celsius, kwh=None)[3]["lost_kwh"] is None
+    assert judged(celsius, None)[3]["lost_kwh"] is None
 
 
 def test_thirds_and_neighbours_that_no_photo_shows_do_not_count():
@@ -192,6 +193,7 @@ def test_a_run_without_celsius_metres_or_a_view_from_above_is_refused(opened: Ru
         ((1.0, float("nan")), None, None, "sides are"),
         ((1.0, 1.7), 0.0, None, "power"),
         ((1.0, 1.7), 400.0, 1.0, "100 to 3,000 kWh"),
+        ((1.0, 1.7), None, 1000.0, "needs the power"),
     ],
 )
 def test_modules_that_cannot_be_are_refused(opened, size, power, kwh, message):

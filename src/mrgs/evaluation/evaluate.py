@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -54,7 +54,6 @@ from mrgs.scene import (
     in_order,
 )
 from mrgs.system.memory import give_back_freed
-from mrgs.system.torch_modes import own_modes
 
 NO_LPIPS = "no VGG-16 and LPIPS weights were given or kept (docs/runs.md)"
 NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
@@ -355,9 +354,7 @@ def score_parts(run: Run, views: Sequence[View], truth: Truth | None = None) -> 
     spreads = part_spreads(run.model, views[0].camera.position.float())
     if spreads is None:
         return None
-    with own_modes(run.device):
-        models = knock_outs(run.model.to(run.device))
-    copies = {part: replace(run, model=model) for part, model in models.items()}
+    copies = run.with_parts_changed(knock_outs)
     scored: dict[str, list[Figures]] = {part: [] for part in copies}
     for view in views:
         photos = {modality: image.load() for modality, image in view.images.items()}

@@ -183,7 +183,8 @@ def _fitted(pycolmap: Any, source: Points, target: Points, tolerance: float) -> 
         inliers = distance < tolerance
         if inliers.sum() < max(FEWEST_MATCHES, LEAST_SHARE * len(source)):
             return None
-        near = distance < TIMES_MEDIAN * np.median(distance[inliers])
+        limit = TIMES_MEDIAN * np.median(distance[inliers])
+        near = distance <= max(limit, np.partition(distance, FEWEST_NEAR)[FEWEST_NEAR])
         found = pycolmap.estimate_sim3d(source[near], target[near])
     if found is None:
         return None
@@ -192,9 +193,10 @@ def _fitted(pycolmap: Any, source: Points, target: Points, tolerance: float) -> 
     return replace(fitted, matches=int(inliers.sum()), residual=residual)
 
 
-REFITS, TIMES_MEDIAN = 20, 0.5
-"""Least squares are repeated with the pairs nearer than this multiple of the median distance: most
-pairs are off by an error of a depth, and those that are not lie close together."""
+REFITS, TIMES_MEDIAN, FEWEST_NEAR = 20, 0.5, 50
+"""Least squares are repeated with the pairs nearer than this multiple of the median distance, or
+with so many: most pairs are off by an error of a depth, and those that are not lie close
+together."""
 
 
 def _registration(found: Any) -> Registration:

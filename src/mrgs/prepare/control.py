@@ -38,7 +38,9 @@ contradict each other if their RMS residual is a larger share of their spread.""
 DOUBTFUL = 2.5
 """A control point that is off by so many times the others' RMS is worth a warning."""
 
-_LEAST_REACH_PX = 4.0
+_REACH, _LEAST_REACH_PX = 0.002, 4.0
+"""How far from a mark a chequer target is looked for: a share of the image's width, or so far."""
+
 LARGEST_ERROR, LEAST_ANGLE_DEG = 0.01, 2.0
 """Marks of one place meet better, as a share of the image's width, and its rays differ by more."""
 
@@ -63,7 +65,7 @@ class _Row(msgspec.Struct):
     role: Literal["control", "check"] = "control"
     crs: str = ""
     to: str = ""
-    target: Literal["", "chequer"] = ""
+    target: Literal["chequer"] | None = None
     length: Annotated[float, msgspec.Meta(gt=0, le=1e6)] | None = None
 
 
@@ -133,7 +135,8 @@ def _add(cells: dict[str, str], control: ControlPoints, photos: Photos) -> None:
         row = msgspec.convert(texts, _Row, strict=False)
     except msgspec.ValidationError as error:
         column = str(error).rpartition("$.")[2].strip("`")
-        raise ValueError(f"{column} is {shown(texts[column])}; {_EXAMPLE}") from None
+        known = "write chequer, or nothing" if column == "target" else _EXAMPLE
+        raise ValueError(f"{column} is {shown(texts[column])}; {known}") from None
     if control.crs not in ("", row.crs or control.crs):
         raise ValueError(f"the CRS is {row.crs}, and {control.crs} above; give all points in one")
     control.crs = row.crs or control.crs
@@ -168,17 +171,19 @@ def at_chequers(
 ) -> tuple[ControlPoints, tuple[str, ...]]:
     """The points with the marks of chequer targets moved to where their quarters meet, in a view's
     image ``grey``, and a warning for each target that is not found in all of its photos."""
-    points, lost = {}, dict[str, list[str]]()
-    for name, point in control.points.items():
-        marks = dict(point.marks)
-        for view, mark in point.marks.items() if point.chequer else ():
-            image = grey(view)
-            reach_px = max(LARGEST_ERROR * image.shape[1], _LEAST_REACH_PX)
-            if (found := saddle_near(image, np.array(mark), reach_px)) is None:
+    points = {name: replace(each, marks={**each.marks}) for name, each in control.points.items()}
+    targets = {name: point for name, point in points.items() if point.chequer}
+    lost = dict[str, list[str]]()
+    for view in dict.fromkeys(view for point in targets.values() for view in point.marks):
+        image = grey(view)
+        reach_px = max(_REACH * image.shape[1], _LEAST_REACH_PX)
+        for name, point in targets.items():
+            if view not in point.marks:
+                continue
+            if (found := saddle_near(image, np.array(point.marks[view]), reach_px)) is None:
                 lost.setdefault(name, []).append(view)
             else:
-                marks[view] = float(found[0]), float(found[1])
-        points[name] = replace(point, marks=marks)
+                point.marks[view] = float(found[0]), float(found[1])
     text = "{} is no chequer target in {}: its mark there counts as it is."
     warnings = (text.format(name, ", ".join(views)) for name, views in lost.items())
     return replace(control, points=points), tuple(warnings)

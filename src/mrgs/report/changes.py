@@ -64,7 +64,8 @@ CORE = 0.5
 """A change is where ΔT is at least this share of its largest values, the upper twentieth."""
 
 FEWEST_PHOTOS = 3
-"""Photos of each date that must show a place: nothing confirms the depth of what one shows."""
+"""Photos of each date that must show a place, as a share of these where not all are surveyed:
+nothing confirms the depth of what one shows."""
 
 FEWEST_PLACES = 8
 LEAST_PX = 2.0
@@ -126,12 +127,14 @@ class _Date:
         assert marked.meter.uncertainty.budget is not None
         self.scene, self.uncertainty = marked.scene, marked.meter.uncertainty
         self.budget = marked.meter.uncertainty.budget
+        surveyed, photos = len(self.meter.survey.chosen), len(self.scene.train_photos(THERMAL))
+        self.fewest = max(1, round(FEWEST_PHOTOS * surveyed / photos))
         self.regions = self.meter.regions(marks)
 
     def celsius(self, points: Points) -> tuple[Values, Values]:
         """°C of points on surfaces, corrected for areas with settings of their own, and as the
         photos' cameras see them; NaN where fewer than ``FEWEST_PHOTOS`` see one."""
-        seen = self.meter.survey.temperatures(points.astype(np.float32), FEWEST_PHOTOS)
+        seen = self.meter.survey.temperatures(points.astype(np.float32), self.fewest)
         seen = seen.astype(np.float64)
         celsius = in_unit(THERMAL, seen, self.run.temperature)
         return self.regions.corrected_at(points, celsius), celsius
@@ -343,7 +346,10 @@ class Surface:
         values = _on_both(dates, registration, points)
         known = np.isfinite(values).all(axis=0)
         if known.sum() < FEWEST_PLACES:
-            raise RunError("the runs have no surface in common that thermal photos of both show")
+            raise RunError(
+                f"the runs have no surface in common that {FEWEST_PHOTOS} thermal photos of each "
+                "show"
+            )
         pairs = KDTree(points[known]).query_pairs(REACH_PX * pixel, output_type="ndarray")
         before, after, around = values[:, known]
         return cls(points[known], pixel, before, after, around, pairs)
@@ -381,20 +387,31 @@ class Surface:
         for sign in (1, -1):
             change = sign * self.certain
             begins = change > np.maximum(BEGINS * least_k, self.around)
-            for part in self._connected(change > CONTINUES * least_k, begins):
+            continues = change > CONTINUES * least_k
+            pairs = self.pairs[continues[self.pairs].all(axis=1)]
+            for part in self._connected(continues, begins, pairs):
                 most = np.quantile(change[part], 0.95)
-                found += self._connected(part & (sign * self.beside_common >= CORE * most), begins)
+                core = part & (sign * self.beside_common >= CORE * most)
+                found += self._connected(core, begins, pairs)
         return found
 
     def _connected(
-        self, where: Bool[np.ndarray, " n"], begins: Bool[np.ndarray, " n"]
+        self,
+        where: Bool[np.ndarray, " n"],
+        begins: Bool[np.ndarray, " n"],
+        pairs: Int64[np.ndarray, "p 2"],
     ) -> list[Bool[np.ndarray, " n"]]:
         """The connected parts of some places with enough places that begin one."""
-        kept = self.pairs[where[self.pairs].all(axis=1)]
-        graph = sparse.coo_matrix((np.ones(len(kept)), kept.T), shape=(len(where),) * 2)
+        rows, number = np.flatnonzero(where), np.zeros(len(where), np.int64)
+        number[rows] = np.arange(len(rows))
+        kept = number[pairs[where[pairs].all(axis=1)]]
+        graph = sparse.coo_matrix((np.ones(len(kept)), kept.T), shape=(len(rows),) * 2)
         labels = sparse.csgraph.connected_components(graph, directed=False)[1]
-        begun = np.bincount(labels, weights=begins & where)
-        return [(labels == label) & where for label in np.flatnonzero(begun >= FEWEST_PLACES)]
+        begun = np.bincount(labels, weights=begins[rows])
+        found = np.zeros((int((begun >= FEWEST_PLACES).sum()), len(where)), bool)
+        for part, label in zip(found, np.flatnonzero(begun >= FEWEST_PLACES), strict=True):
+            part[rows[labels == label]] = True
+        return list(found)
 
     def surroundings(self, part: Bool[np.ndarray, " n"], least_k: float) -> Bool[np.ndarray, " n"]:
         """The places about a part that have not changed."""

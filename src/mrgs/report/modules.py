@@ -180,6 +180,10 @@ def module_table(
         )
     if power_w is not None and not POWERS_W[0] <= power_w <= POWERS_W[1]:
         raise ConfigError(f"a module's power is 1 to 2,000 W, not {power_w:g}", options=("power",))
+    if yield_kwh is not None and power_w is None:
+        raise ConfigError(
+            "lost energy needs the power of a module too", options=("power", "yield_kwh")
+        )
     if yield_kwh is not None and not YIELDS[0] <= yield_kwh <= YIELDS[1]:
         raise ConfigError(
             f"a kW of modules gives 100 to 3,000 kWh in a year, not {yield_kwh:g}",
@@ -318,8 +322,8 @@ def _judged(
     window = max(int(seen.celsius.shape[2] / CELLS / 2), 1)
     smooth = ndimage.uniform_filter(excess, (0, window, window), mode="nearest")
     known = np.isfinite(seen.celsius).mean(axis=(1, 2)) > 0.5
-    kwh = None if power_w is None or yield_kwh is None else power_w * yield_kwh / 1000
     watts = None if irradiance is None or power_w is None else power_w * irradiance / NOMINAL_W_M2
+    kwh = None if watts is None or yield_kwh is None else (power_w or 0.0) * yield_kwh / 1000
     stated = irradiance is not None and irradiance >= LEAST_W_M2
     factor = NOMINAL_W_M2 / irradiance if irradiance is not None and stated else None
     for n, line_of in enumerate(numbers.tolist()):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -105,6 +105,13 @@ class Run(TrainedRun):
         if poses is None or not poses.moves:
             return scene
         return with_refined_poses(scene, poses)
+
+    def with_parts_changed(self, change: Callable[[Model], Mapping[str, Model]]) -> dict[str, Run]:
+        """Copies of this run by name, whose models ``change`` makes of the model where it is
+        rendered. DeviceError if the GPU's memory does not suffice."""
+        with self._computing():
+            models = change(self._rendered)
+        return {name: replace(self, model=model) for name, model in models.items()}
 
     def cropped(self, box: Box | None = None) -> Run:
         """This run without the Gaussians whose centres are outside a box in world coordinates, by

@@ -89,7 +89,7 @@ def carry_over(
         total[rows] += near[:, None] * values[known]
         weight[rows] += near
         cameras[rows] += 1
-    return total / np.where(cameras > 0, weight, 1)[:, None], cameras
+    return total / np.where(weight > 0, weight, 1)[:, None], cameras
 
 
 def visible(camera: Camera, positions: Points) -> PointsInImage:

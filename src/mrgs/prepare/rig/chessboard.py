@@ -22,6 +22,8 @@ _FIT_SQUARES = 0.3
 _QUARTER_SQUARES = 0.35
 _IRREGULAR_SQUARES = 0.15
 _RING = 24
+_LEAST_RING, _AROUND_PX = 1.2, 40
+"""Contrast around the middle of a target, in standard deviations of so many pixels around."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,30 +72,46 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
 def saddle_near(
     image: Float[np.ndarray, "h w"], pixel: Points, reach_px: float
 ) -> Float[np.ndarray, "2"] | None:
-    """The clearest place within reach of a pixel x, y where two bright and two dark quarters meet,
-    to a fraction of a pixel; None if there is none."""
-    margin = 2 * reach_px + 4 * max(_SIGMAS_PX)
+    """The place within reach of a pixel x, y where two bright and two dark quarters meet, to a
+    fraction of a pixel, the nearest of several; None if there is none that stands out from what is
+    around."""
+    margin = reach_px + _AROUND_PX
     corner = np.maximum(np.floor(pixel - margin), 0).astype(int)
     (left, top), (right, bottom) = corner, np.ceil(pixel + margin).astype(int)
     part = image[top:bottom, left:right].astype(np.float32)
-    for sigma_px in reversed(_SIGMAS_PX):
-        found = _find_saddles(part, sigma_px).pixels + corner
-        for place in found[np.linalg.norm(found - pixel, axis=1) <= reach_px]:
-            refined = _refined(part, place[None] - corner, np.array([2 * sigma_px]))[0]
-            if np.isfinite(refined).all() and _has_quarters(part, refined, 3 * sigma_px):
-                return refined + corner
-    return None
+    known = np.isfinite(part)
+    if not known.any():
+        return None
+    part = np.where(known, part, np.median(part[known])) - np.median(part[known])
+    found = []
+    for sigma_px in _SIGMAS_PX:
+        saddles = _find_saddles(part, sigma_px).pixels
+        near = saddles[np.linalg.norm(saddles + corner - pixel, axis=1) <= reach_px]
+        places = _refined(part, near, np.full(len(near), 2 * sigma_px))
+        known = places[np.isfinite(places).all(axis=1)]
+        found += [(_contrast(part, place, sigma_px), place + corner) for place in known]
+    clearest = max((contrast for contrast, _ in found), default=0.0)
+    if clearest < _LEAST_RING * part.std():
+        return None
+    chosen = [place for contrast, place in found if contrast > 0.7 * clearest]
+    nearest: Float[np.ndarray, "2"] = min(chosen, key=lambda place: np.linalg.norm(place - pixel))
+    return nearest
 
 
-def _has_quarters(
-    image: Float[np.ndarray, "h w"], middle: Float[np.ndarray, "2"], radius_px: float
-) -> bool:
-    """Whether an image is bright twice and dark twice around a place, and little else: half of the
-    variance there is of that frequency, in place of four fifths for four even quarters."""
+def _contrast(
+    image: Float[np.ndarray, "h w"], middle: Float[np.ndarray, "2"], sigma_px: float
+) -> float:
+    """By how much an image is bright twice and dark twice around a place, on two rings alike; 0
+    where half of the variance on either is of another frequency."""
     angle = np.arange(_RING) * (2 * np.pi / _RING)
-    x, y = middle[0] + radius_px * np.cos(angle), middle[1] + radius_px * np.sin(angle)
-    power = np.abs(np.fft.rfft(sampled(image, x, y))[1:]) ** 2
-    return bool(power[1] > 0.5 * power.sum())
+    waves = []
+    for radius_px in (1.5 * sigma_px, 3 * sigma_px):
+        x, y = middle[0] + radius_px * np.cos(angle), middle[1] + radius_px * np.sin(angle)
+        wave = np.fft.rfft(sampled(image, x, y))[1:] * (2 / _RING)
+        if not np.abs(wave[1]) ** 2 > 0.5 * (np.abs(wave) ** 2).sum():
+            return 0.0
+        waves.append(wave[1])
+    return float(min(map(abs, waves)) * max(np.cos(np.angle(waves[0] / waves[1])), 0.0))
 
 
 def board_points(columns: int, rows: int) -> Points:
