@@ -27,6 +27,7 @@ from mrgs.prepare.control import ControlPoint, ControlPoints, place_by_control
 from mrgs.prepare.sfm.reconstruct import adjusted, reconstruct
 from mrgs.scene import RGB
 from mrgs.scene.lens import Lens
+from mrgs_synth.cameras import look_at
 
 LENGTH_M, HEIGHT_M, PIXELS_PER_M = 36.0, 8.0, 110
 WIDTH_PX, HEIGHT_PX, VIEWS = 800, 600, 22
@@ -97,17 +98,6 @@ def paint(rng: np.random.Generator) -> np.ndarray:
         high, wide = rng.integers((4, 4), (30, 60))
         texture[top : top + high, left : left + wide] = rng.uniform(20, 235, 3)
     return np.clip(texture, 0, 255)
-
-
-def look_at(eye: np.ndarray, aim: np.ndarray) -> np.ndarray:
-    """World to camera of a camera that is held upright; z is up."""
-    forward = (aim - eye) / np.linalg.norm(aim - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    viewmat[:3, 3] = -viewmat[:3, :3] @ eye
-    return viewmat
 
 
 def shade(

@@ -148,6 +148,7 @@ def table(kept: Kept) -> str:
     runs, baseline = kept["runs"], kept["baseline"]
     methods = sorted({run["method"] for run in runs}, key=[run["method"] for run in runs].index)
     scenes = sorted({run["scene"] for run in runs})
+    trained = {(run["scene"], run["method"]) for run in runs}
     columns = COLUMNS[kept["columns"]]
     heads = [column.heading for column in columns]
     lines = [
@@ -156,7 +157,7 @@ def table(kept: Kept) -> str:
     ]
     for method in methods:
         both = method, baseline
-        own = [scene for scene in scenes if all(_of_scene(runs, scene, each) for each in both)]
+        own = [scene for scene in scenes if all((scene, each) in trained for each in both)]
         cells = [f"`{method}`" + (f", {len(own)} of them" if len(own) < len(scenes) else "")]
         for column in columns:
             found, compared = (
@@ -209,13 +210,11 @@ def _mean_text(found: Sequence[Sequence[float]], column: Column) -> str:
 
 
 def _of_scene(
-    runs: Sequence[Mapping[str, Any]], scene: str, method: str, figure: str = ""
+    runs: Sequence[Mapping[str, Any]], scene: str, method: str, figure: str
 ) -> list[float]:
-    """A figure of each seed, in their order; their numbers without one."""
+    """A figure of each seed that has it, in their order."""
     chosen = [run for run in runs if (run["scene"], run["method"]) == (scene, method)]
     chosen = sorted(chosen, key=lambda run: run["seed"])
-    if not figure:
-        return [run["seed"] for run in chosen]
     return [run["figures"][figure] for run in chosen if figure in run["figures"]]
 
 

@@ -1,8 +1,8 @@
 """How well `mrgs diff` finds known changes: `python -m benchmarks.two_dates FOLDER SEED...`
 
 FOLDER has for each seed the scenes ``aSEED`` and ``bSEED``, which ``python -m benchmarks.two_dates
-FOLDER SEED:KIND ...`` generates (KIND of ``mrgs synth --scene``), and the runs
-``raSEED`` and ``rbSEED`` that ``mrgs train`` trained on them. Prints what was found of the known
+FOLDER SEED:KIND ...`` generates (KIND of ``mrgs synth --scene``), and the runs ``raSEED`` and
+``rbSEED`` that ``mrgs train`` trained on them. Prints what was found of the known
 changes, which of the reported ones are none, how well the runs were aligned, and how often the ± of
 ΔT of changes and of random spots holds the truth.
 """

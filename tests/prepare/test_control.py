@@ -29,6 +29,7 @@ from mrgs.prepare.georeference import apply, centres, georeference
 from mrgs.prepare.rig.chessboard import saddle_near
 from mrgs.scene import PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
+from mrgs_synth.cameras import look_at
 
 LENS = Lens(400, 300, 300.0, 300.0, 200.0, 150.0, (-0.1, 0.02, 0.0, 0.0))
 EYES = np.array([[4.0 * np.cos(t), -9 + np.sin(t), 2 + np.sin(3 * t)] for t in np.arange(8.0)])
@@ -49,16 +50,8 @@ PHOTOS = {f"v{i}.jpg": (f"v{i}", (400, 300)) for i in range(8)}
 
 def wall() -> Reconstruction:
     """Eight cameras that look north at places a few metres wide; z is up."""
-    viewmats = {}
-    for index, eye in enumerate(EYES):
-        forward = np.array([0.0, 0.0, 1.5]) - eye
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0, 1])
-        right /= np.linalg.norm(right)
-        viewmat = np.eye(4)
-        viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-        viewmat[:3, 3] = -viewmat[:3, :3] @ eye
-        viewmats[f"v{index}"] = torch.from_numpy(viewmat)
+    aim = np.array([0.0, 0.0, 1.5])
+    viewmats = {f"v{i}": torch.from_numpy(look_at(eye, aim)) for i, eye in enumerate(EYES)}
     cloud = PointCloud(torch.zeros(1, 3), torch.zeros(1, 3))
     return Reconstruction(viewmats, dict.fromkeys(viewmats, LENS), cloud, None, (), None, "made up")
 

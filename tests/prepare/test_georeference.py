@@ -17,21 +17,11 @@ from mrgs.prepare.contract import Georeference, Reconstruction
 from mrgs.prepare.georeference import KnownDistance, apply, centres, georeference, up_of_cameras
 from mrgs.scene import EarthPosition, PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
+from mrgs_synth.cameras import look_at
 
 LENS = Lens(400, 300, 300.0, 300.0, 200.0, 150.0, (-0.1, 0.02, 0.0, 0.0))
 PLACE = GpsPosition(48.137, 11.575, 520.0)
 METRES_PER_DEGREE = math.radians(1) * SEMI_MAJOR_AXIS_M
-
-
-def look_at(position: np.ndarray, target: np.ndarray) -> torch.Tensor:
-    """World to camera of a camera that is held upright (z is up)."""
-    forward = (target - position) / np.linalg.norm(target - position)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    viewmat[:3, 3] = -viewmat[:3, :3] @ position
-    return torch.from_numpy(viewmat)
 
 
 def around(radius: float = 20.0, count: int = 12) -> np.ndarray:
@@ -48,7 +38,7 @@ def reconstruction_of(positions: np.ndarray, points: np.ndarray | None = None) -
     names = [f"view_{index}" for index in range(len(positions))]
     cloud = PointCloud(torch.from_numpy(points).float(), torch.full((len(points), 3), 0.5))
     viewmats = {
-        name: look_at(position, np.zeros(3))
+        name: torch.from_numpy(look_at(position, np.zeros(3)))
         for name, position in zip(names, positions, strict=True)
     }
     visible = {name: torch.arange(len(points)) for name in names}

@@ -256,19 +256,20 @@ def test_the_common_change_stays_unless_it_is_to_be_subtracted(first, second, fo
         assert one.difference == pytest.approx(other.difference + found.common)
 
 
-@pytest.mark.parametrize(("least_share", "most"), [(0.95, 2.5), (1.5, 5.0)])
-def test_a_change_has_an_uncertainty_though_no_photo_shows_enough_of_it(
-    found, monkeypatch, least_share, most
-):
+def test_a_change_has_an_uncertainty_though_no_photo_shows_enough_of_it(found, monkeypatch):
     """The whole wall, of which each photo shows at most four fifths; and where no photo counts, by
-    single places, which agree less than means do."""
+    its places."""
     comparison = _Comparison(found.dates, found.registration, found.surface, True)
     wall = np.ones(len(found.surface.points), bool)
-    _, usual = comparison.of_change(wall, 1.0)
-    monkeypatch.setattr("mrgs.marks.photo_readings.LEAST_SHARE", least_share)
-    _, change = comparison.of_change(wall, 1.0)
-    assert change.difference == usual.difference
-    assert 0.4 < change.uncertainty / usual.uncertainty < most
+    changes = [comparison.of_change(wall, 1.0)[1]]
+    for least_share in (0.95, 1.5):
+        monkeypatch.setattr("mrgs.marks.photo_readings.LEAST_SHARE", least_share)
+        changes.append(comparison.of_change(wall, 1.0)[1])
+    usual, by_pieces, by_places = changes
+    assert usual.difference == by_pieces.difference == by_places.difference
+    assert 0.4 < by_pieces.uncertainty / usual.uncertainty < 2.5
+    around = np.sqrt(np.mean(np.square(found.surface.around)))
+    assert by_places.uncertainty == pytest.approx(around, rel=0.02)
 
 
 def test_places_are_as_far_apart_as_pixels_of_the_coarser_date(found, monkeypatch):

@@ -133,7 +133,7 @@ class _Date:
 
     def celsius(self, points: Points) -> tuple[Values, Values]:
         """°C of points on surfaces, corrected for areas with settings of their own, and as the
-        photos' cameras see them; NaN where fewer than ``FEWEST_PHOTOS`` see one."""
+        photos' cameras see them; NaN where fewer than ``fewest`` see one."""
         seen = self.meter.survey.temperatures(points.astype(np.float32), self.fewest)
         seen = seen.astype(np.float64)
         celsius = in_unit(THERMAL, seen, self.run.temperature)
@@ -408,10 +408,12 @@ class Surface:
         graph = sparse.coo_matrix((np.ones(len(kept)), kept.T), shape=(len(rows),) * 2)
         labels = sparse.csgraph.connected_components(graph, directed=False)[1]
         begun = np.bincount(labels, weights=begins[rows])
-        found = np.zeros((int((begun >= FEWEST_PLACES).sum()), len(where)), bool)
-        for part, label in zip(found, np.flatnonzero(begun >= FEWEST_PLACES), strict=True):
+        found = []
+        for label in np.flatnonzero(begun >= FEWEST_PLACES):
+            part = np.zeros(len(where), bool)
             part[rows[labels == label]] = True
-        return list(found)
+            found.append(part)
+        return found
 
     def surroundings(self, part: Bool[np.ndarray, " n"], least_k: float) -> Bool[np.ndarray, " n"]:
         """The places about a part that have not changed."""

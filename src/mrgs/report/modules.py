@@ -119,9 +119,12 @@ class ModuleTable:
         ]
         chosen = {marks[n].name: marks[n] for n in found}
         picture = self.shown.picture(chosen, Style(decimal=t.decimal))
-        lost, energy = (
-            sum(row[each] or 0.0 for row in self.rows) / 1000 for each in ("lost_w", "lost_kwh")
-        )
+
+        def total(name: str) -> str:
+            """The thousands that all modules have together; empty where none has the number."""
+            known = [row[name] for row in self.rows if row[name] is not None]
+            return t.number(f"{sum(known) / 1000:.2f}") if known else ""
+
         page = write_html(
             folder / "modules.html",
             "report/modules.html",
@@ -142,8 +145,8 @@ class ModuleTable:
             ),
             size=t.number(" × ".join(f"{side:.2f}" for side in self.sides)),
             pixel=t.number(f"{100 * self.pixel:.1f}"),
-            lost=t.number(f"{lost:.2f}"),
-            energy=t.number(f"{energy:.2f}"),
+            lost=total("lost_w"),
+            energy=total("lost_kwh"),
         )
         csv = write_rows(folder / "modules.csv", list(facts[0]), facts)
         features = zip(facts, marks, strict=True)
@@ -322,8 +325,10 @@ def _judged(
     window = max(int(seen.celsius.shape[2] / CELLS / 2), 1)
     smooth = ndimage.uniform_filter(excess, (0, window, window), mode="nearest")
     known = np.isfinite(seen.celsius).mean(axis=(1, 2)) > 0.5
-    watts = None if irradiance is None or power_w is None else power_w * irradiance / NOMINAL_W_M2
-    kwh = None if watts is None or yield_kwh is None else (power_w or 0.0) * yield_kwh / 1000
+    watts = kwh = None
+    if irradiance is not None and power_w is not None:
+        watts = power_w * irradiance / NOMINAL_W_M2
+        kwh = None if yield_kwh is None else power_w * yield_kwh / 1000
     stated = irradiance is not None and irradiance >= LEAST_W_M2
     factor = NOMINAL_W_M2 / irradiance if irradiance is not None and stated else None
     for n, line_of in enumerate(numbers.tolist()):

@@ -107,8 +107,8 @@ class Run(TrainedRun):
         return with_refined_poses(scene, poses)
 
     def with_parts_changed(self, change: Callable[[Model], Mapping[str, Model]]) -> dict[str, Run]:
-        """Copies of this run by name, whose models ``change`` makes of the model where it is
-        rendered. DeviceError if the GPU's memory does not suffice."""
+        """Copies of this run by name, to be rendered: their models, which ``change`` makes of this
+        one's, are on the run's device. DeviceError if the GPU's memory does not suffice."""
         with self._computing():
             models = change(self._rendered)
         return {name: replace(self, model=model) for name, model in models.items()}

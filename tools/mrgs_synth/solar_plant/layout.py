@@ -190,10 +190,10 @@ def heat(tables: Tables, defect: Defect, kelvin: float) -> None:
 
 
 def drawn_defects(
-    tables: Tables, rng: np.random.Generator, sound: Collection[Defect] = ()
+    tables: Tables, rng: np.random.Generator, others: Collection[Defect] = ()
 ) -> tuple[Defect, ...]:
-    """Heat the cells of modules drawn at random, no module twice, and none of these defects'."""
-    taken = {(each.row, each.table, each.module) for each in sound}
+    """Heat the cells of modules drawn at random, no module twice, and none of the others'."""
+    taken = {(each.row, each.table, each.module) for each in others}
     all_modules = [
         (table, column, above)
         for table, count in enumerate(tables.modules)

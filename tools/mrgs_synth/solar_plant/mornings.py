@@ -1,4 +1,4 @@
-"""A solar plant on two mornings: which modules were mended, and which became hot, is known."""
+"""A solar plant on two mornings: which modules were repaired, and which became hot, is known."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SHIFT_M, TURN_DEG = 0.6, 0.3
 
 def synthesize_mornings(before: Path, after: Path, options: PlantOptions) -> list[Change]:
     """Generate two surveys of one plant; the second one has a flight and coordinates of its own. Of
-    three defects one stays, one is mended, and one grows hotter or cooler; as many as there were
+    three defects one stays, one is repaired, and one grows hotter or cooler; as many as there were
     are new. Returns these, of which ``truth/changes.json`` and ``truth/after`` of the first scene
     tell as in ``synthesize_dates``.
 

@@ -70,7 +70,7 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
 
 
 def saddle_near(
-    image: Float[np.ndarray, "h w"], pixel: Points, reach_px: float
+    image: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "2"], reach_px: float
 ) -> Float[np.ndarray, "2"] | None:
     """The place within reach of a pixel x, y where two bright and two dark quarters meet, to a
     fraction of a pixel, the nearest of several; None if there is none that stands out from what is
@@ -88,8 +88,8 @@ def saddle_near(
         saddles = _find_saddles(part, sigma_px).pixels
         near = saddles[np.linalg.norm(saddles + corner - pixel, axis=1) <= reach_px]
         places = _refined(part, near, np.full(len(near), 2 * sigma_px))
-        known = places[np.isfinite(places).all(axis=1)]
-        found += [(_contrast(part, place, sigma_px), place + corner) for place in known]
+        places = places[np.isfinite(places).all(axis=1)]
+        found += [(_contrast(part, place, sigma_px), place + corner) for place in places]
     clearest = max((contrast for contrast, _ in found), default=0.0)
     if clearest < _LEAST_RING * part.std():
         return None
