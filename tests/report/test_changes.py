@@ -291,14 +291,6 @@ def test_a_place_that_two_photos_show_is_not_compared(found):
     assert compared[photos > 3].mean() > 0.9
 
 
-def test_of_many_photos_fewer_are_surveyed_and_must_show_a_place(found):
-    date = copy(found.dates[0])
-    many = replace(date.scene, train=date.scene.train * 40)
-    marked = open_marks(date.run, many)
-    assert len(many.train) == 200
-    assert _Date(marked, date.marks, 1, False).fewest == round(3 * 64 / 200)
-
-
 def test_changes_have_names_of_their_own(first, second, found):
     store = open_marks(*first).store
     store.edit(

@@ -20,7 +20,7 @@ from mrgs.report.overview import (
     overviews,
 )
 from mrgs.scene import THERMAL, Camera, Pixels, PosedImage, Rendering, Scene, View
-from mrgs.scene.depth_map import MAX_VIEWS, PhotoSurvey, SurfaceRenderer
+from mrgs.scene.depth_map import ALWAYS, PhotoSurvey, SurfaceRenderer
 from mrgs.scene.rendering import Blend
 
 CAMERA = Camera.from_fov(80, 60, 50)
@@ -59,7 +59,7 @@ def wall(y: float = 0.0) -> SurfaceRenderer:
 
 
 def shown_in(made: Scene, marks: dict[str, Mark], render: SurfaceRenderer) -> list[Overview]:
-    cameras = [photo.camera for photo in made.train_photos(THERMAL)]
+    cameras = [view.images[THERMAL].camera for view in made.survey_views(THERMAL)]
     return overviews(made, marks, PhotoSurvey(render, cameras), render)
 
 
@@ -85,7 +85,7 @@ def test_what_something_hides_and_what_floats_is_not_shown(y):
 
 
 def test_views_from_all_over_a_long_capture_are_tried():
-    count = 2 * MAX_VIEWS
+    count = 2 * ALWAYS
     made = scene([0.0] * (count - 2) + [10.0] * 2)
     (shown,) = shown_in(made, spots(A=10.0), wall())
     assert shown.view in {view.name for view in made.train[-2:]}

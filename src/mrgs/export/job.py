@@ -140,7 +140,8 @@ class ExportJob:
         if self.marks is not None:
             return self.marks.meter.uncertainty
         baked, scene, known = self.baked, self.scene, self.baked.temperature
-        readings = PhotoReadings(baked.render, ideal_cameras, scene.train, known)
+        views = scene.survey_views(THERMAL)
+        readings = PhotoReadings(baked.render, ideal_cameras, views, known)
         return UncertaintyMeter.of(readings, scene, known, Survey())
 
     @property

@@ -27,7 +27,7 @@ from mrgs.scene.depth_map import (
     SURFACE_DEPTH,
     DepthMap,
     carry_over,
-    surveying_cameras,
+    reduced,
 )
 
 COLORS = ("red", "green", "blue")
@@ -35,12 +35,12 @@ COLORS = ("red", "green", "blue")
 
 
 def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
-    """The renderings of the training cameras with the channels of all modalities of the model one
-    behind the other, temperatures in °C where known. The depth is that of the first modality of
-    which the scene has photos, infinite where the sky is seen. RunError if no pixel is opaque
-    enough to have one."""
+    """The renderings of the training cameras, of enough to see every place, with the channels of
+    all modalities of the model one behind the other, temperatures in °C where known. The depth is
+    that of the first modality of which the scene has photos, infinite where the sky is seen.
+    RunError if no pixel is opaque enough to have one."""
     maps, surface = [], scene.modalities[0]
-    for camera in surveying_cameras(scene.train_cameras):
+    for camera in (reduced(view.camera) for view in scene.survey_views()):
         rendering = baked.render(camera, surface)
         depth = rendering.surface_depth(surface, MIN_ALPHA, MAX_STEP)
         distant = to_array(scene.reach.without_background(camera, depth))

@@ -21,15 +21,16 @@ from mrgs.errors import RunError
 from mrgs.maps.surfaces import median_distance
 from mrgs.pictures.files import to_array
 from mrgs.runs.open import Run
-from mrgs.scene import Scene, evenly_spaced
-from mrgs.scene.depth_map import MAX_STEP, MIN_ALPHA, DepthMap, visible
+from mrgs.scene import Scene
+from mrgs.scene.depth_map import MAX_STEP, MIN_ALPHA, DepthMap, surveying, visible
 from mrgs.scene.similarity import Similarity
 from mrgs.system.lazy import optional_package
 
 Points: TypeAlias = Float64[np.ndarray, "n 3"]
 
-MOST_PHOTOS, WIDEST_PX, MOST_FEATURES = 24, 800, 1500
-"""Photos of a date whose features are matched, their width, and the features of one."""
+PHOTOS, WIDEST_PX, MOST_FEATURES = 24, 800, 1500
+"""Photos of the first date whose features are matched with those of as many of the second or, if
+these do not show all of it, more; their width, and the features of one."""
 
 RATIO = 0.85
 """A match is kept if no second feature is nearly as similar: distances below this ratio."""
@@ -85,8 +86,8 @@ def register(first: Run, second: Run, scenes: tuple[Scene, Scene]) -> Registrati
     pycolmap = require_pycolmap()
     pycolmap.logging.minloglevel = int(pycolmap.logging.WARNING)
     extractor = _extractor(pycolmap)
-    before, maps = _features(first, scenes[0], extractor)
-    after, others = _features(second, scenes[1], extractor)
+    before, maps = _features(first, scenes[0], extractor, 0)
+    after, others = _features(second, scenes[1], extractor, 1)
     source, target = _pairs(before, after)
     fitted = _fitted(pycolmap, source, target, TOLERANCE * median_distance(others))
     if fitted is None:
@@ -119,12 +120,16 @@ def _extractor(pycolmap: Any) -> Any:
     return pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
 
 
-def _features(run: Run, scene: Scene, extractor: Any) -> tuple[list[_Features], list[DepthMap]]:
-    """Features of photos of the scene's first modality, and their depth maps."""
+def _features(
+    run: Run, scene: Scene, extractor: Any, enough: int
+) -> tuple[list[_Features], list[DepthMap]]:
+    """Features of photos of the scene's first modality, of which ``enough`` show each place, and
+    their depth maps."""
     modality = scene.modalities[0]
     photos = scene.train_photos(modality)
     features, maps = [], []
-    for index in evenly_spaced(len(photos), MOST_PHOTOS):
+    cameras, places = [photo.camera for photo in photos], scene.points.positions.numpy()
+    for index in surveying(cameras, places, PHOTOS, enough):
         camera = photos[index].camera.with_width(min(photos[index].camera.width, WIDEST_PX))
         image = photos[index].look(camera.width).values.mean(dim=2)[None, None]
         size = camera.height, camera.width

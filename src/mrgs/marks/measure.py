@@ -80,7 +80,8 @@ class MarkReading:
         area: of the flat outline of a box or polygon, scene units squared; else NaN, also where its
             corners do not lie in one plane.
         covered: share of the mark where the model shows a surface.
-        photos: how many thermal photos see it; None if their cameras are not known.
+        photos: how many thermal photos see it, of many at least 4; None if their cameras are not
+            known.
         profile: of a line; else None.
         surface: emissivity and reflected temperature that most of it is corrected for: those of the
             area with an emissivity of its own in which it lies; None for those of the photos.
@@ -134,7 +135,6 @@ class MarkMeter:
         self._resolution = Resolution(render, self.survey)
         self.render = render
         self._temperature = temperature
-        self._photos = len(cameras)
         self._changes = changes
         self._own: list[tuple[str, Mark]] = []
         self._regions: Regions | None = None
@@ -236,7 +236,7 @@ class MarkMeter:
         A model's image depends on where its camera points, as Gaussians are projected to first
         order: the model was not fitted to an image of a camera that is turned towards a place."""
         in_photos = shown
-        if self._photos and not self._changes:
+        if self.survey.cameras and not self._changes:
             seen = self.survey.temperatures(places.astype(np.float32))
             in_photos = np.where(np.isnan(seen), shown, seen)
         corrected = regions.corrected_at(places, in_photos, self._temperature, eye)
@@ -262,14 +262,13 @@ class MarkMeter:
         )
 
     def _photos_of(self, places: Float[np.ndarray, "n 3"]) -> int | None:
-        """Number of thermal cameras that see at least half of the places, by the share of those
-        that are surveyed; None if no camera is known."""
-        if not self._photos:
+        """Number of surveyed thermal cameras that see at least half of the places; None if none is
+        known."""
+        if not self.survey.cameras:
             return None
         points = checked_points(places)
-        shown = [len(item.shown(points).rows) for item in self.survey]
-        seen = sum(count >= 0.5 * len(points) for count in shown)
-        return -(-seen * self._photos // len(self.survey.chosen))
+        shown = [len(item.shown(points).rows) for _, item in self.survey.near(points)]
+        return sum(count >= 0.5 * len(points) for count in shown)
 
 
 def _surface_of(mark: Mark) -> Mark:

@@ -7,7 +7,7 @@ The constants were set on generated scenes with exact temperatures, and checked 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from mrgs.data.images import opened, scaling_of
 from mrgs.errors import SceneError
 from mrgs.marks.surface import seen_depth, thermal_values
 from mrgs.scene import THERMAL, CameraResponse, TemperatureRange, View, evenly_spaced
-from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, SurfaceRenderer, visible
+from mrgs.scene.depth_map import DepthMap, DepthMaps, SurfaceRenderer
 from mrgs.system.memory import row_chunks
 
 COVERAGE = 2.0
@@ -188,9 +188,10 @@ LEAST_SHARE = 0.5
 """A photo that shows less of a mark does not count."""
 
 
-class PhotoReadings:
-    """The thermal training photos, at most ``MAX_VIEWS``, each rendered by the model when it is
-    first asked for; ``respond`` applies the cameras' response to a rendering."""
+class PhotoReadings(DepthMaps):
+    """The thermal photos of views, such as of ``Scene.survey_views``, beside their renderings:
+    depth and channels, NaN where masked; ``respond`` applies the cameras' response to a rendering.
+    SceneError where a photo cannot be read."""
 
     def __init__(
         self,
@@ -199,32 +200,22 @@ class PhotoReadings:
         views: Sequence[View],
         temperature: TemperatureRange | None,
     ) -> None:
-        thermal = [view for view in views if THERMAL in view.images]
-        self._views = [thermal[index] for index in evenly_spaced(len(thermal), MAX_VIEWS)]
+        super().__init__(
+            [view.images[THERMAL].camera for view in views],
+            lambda number: self.witness(views[number]),
+        )
+        self._views = views
         self._render = render
         self._respond = respond
         self._span = 1.0 if temperature is None else temperature.span_c
         self._least = 0.0 if temperature is None else temperature.min_c
         self._step = _step_of(self._views, self._span)
-        self._maps: dict[int, DepthMap] = {}
-
-    def __getitem__(self, index: int) -> DepthMap:
-        """Depth and channels of a photo; NaN where masked. SceneError if it cannot be read."""
-        if index not in self._maps:
-            self._maps[index] = self.witness(self._views[index])
-        return self._maps[index]
-
-    def _near(self, points: Float32[np.ndarray, "n 3"]) -> Iterator[DepthMap]:
-        """The photos that have any of the points in their image; the others are not rendered."""
-        for index, view in enumerate(self._views):
-            if len(visible(view.images[THERMAL].camera, points).rows):
-                yield self[index]
 
     def of_mark(self, points: Float32[np.ndarray, "n 3"], value: float) -> PhotoParts:
         """The parts of the uncertainty of a mark's mean, ``value`` as the photos have it, from
         points on its surface; one place. SceneError if a photo cannot be read."""
         sums = SightingSums(1, self._rounding_of_means)
-        for item in self._near(points):
+        for _, item in self.near(points):
             shown = item.shown(points)
             values = item.image[shown.pixels]
             known = np.isfinite(values).all(axis=1)
@@ -240,7 +231,7 @@ class PhotoReadings:
         found = []
         for rows in row_chunks(len(points)):
             sums = SightingSums(rows.stop - rows.start, OF_ONE_VALUE * self._step)
-            for item in self._near(points[rows]):
+            for _, item in self.near(points[rows]):
                 shown = item.shown(points[rows])
                 sums.add(shown.rows, item.image[shown.pixels], shown.z)
             found.append(sums.parts(OF_POINT))
@@ -263,7 +254,7 @@ class PhotoReadings:
         return self._step * rounding_of_mean(max(with_rounding - 1 / 12, 0.0))
 
     def witness(self, view: View, width_px: int = WIDTH_PX) -> DepthMap:
-        """Depth and channels of any photo, at most ``width_px`` wide; see ``__getitem__``."""
+        """Depth and channels of any photo, at most ``width_px`` wide."""
         photo = view.images[THERMAL]
         camera = photo.camera.with_width(min(photo.camera.width, width_px))
         rendering = self._render(camera)

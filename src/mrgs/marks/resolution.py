@@ -72,7 +72,7 @@ class Resolution:
         it with its surroundings, and x and y of the place there."""
         point = np.array([place], np.float32)
         found, smallest = None, np.inf
-        for number, item in enumerate(self._survey):
+        for number, item in self._survey.near(point):
             camera = self._survey.cameras[number]
             if not len(item.shown(point).rows):
                 continue

@@ -53,12 +53,13 @@ class RunMarks:
         uncertainty = None
         if scene is not None:
             survey = read_survey(run.folder.path / SURVEY_FILE)
-            readings = PhotoReadings(run.render, run.camera_response, scene.train, run.temperature)
+            views, respond = scene.survey_views(THERMAL), run.camera_response
+            readings = PhotoReadings(run.render, respond, views, run.temperature)
             uncertainty = UncertaintyMeter.of(readings, scene, run.temperature, survey)
         self.meter = MarkMeter(
             before_background(run.render, None if scene is None else scene.reach),
             run.temperature,
-            thermal_cameras(scene),
+            surveyed_cameras(scene),
             CaptureSettings.of(scene),
             uncertainty,
         )
@@ -204,6 +205,12 @@ class RunMarks:
         return self.meter.measure(Marks(self.marks.proposals), self._regions)
 
 
+def surveyed_cameras(scene: Scene | None) -> list[Camera]:
+    """Cameras of a scene's thermal training photos, enough for every place."""
+    views = () if scene is None else scene.survey_views(THERMAL)
+    return [view.images[THERMAL].camera for view in views]
+
+
 def open_marks(run: Run, scene: Scene | None = None) -> RunMarks:
     """The marks of a run; see ``RunMarks``."""
     return RunMarks(run, scene)
@@ -215,7 +222,7 @@ class MarkPicker:
 
     def __init__(self, meter: MarkMeter, scene: Scene | None, by_photos: bool = True) -> None:
         self.meter, self._scene = meter, scene
-        views = [view for view in scene.train if THERMAL in view.images] if scene else []
+        views = scene.survey_views(THERMAL) if scene else ()
         self._stereo = PhotoStereo(meter.survey, views) if by_photos and views else None
 
     def pick(
@@ -248,13 +255,17 @@ class MarkPicker:
         depth: Float[np.ndarray, "h w"],
         pixel: tuple[int, int],
         regions: Regions,
+        at_once: bool = False,
     ) -> float:
         """What a spot at a pixel (column, row) of a picture would read, from the picture's z-depths
-        alone; NaN where no photo sees the place, or the model changes."""
+        alone; NaN where no photo sees the place, the model changes, or, ``at_once``, what the
+        photos' cameras see there has not been rendered yet."""
         z = depth[pixel[1], pixel[0]]
         if not np.isfinite(z):
             return np.nan
         place = camera.unproject(np.add(pixel, 0.5), z)
+        if at_once and not self.meter.survey.made_near(place[None].float().numpy()):
+            return np.nan
         radius = spot_radius(tuple(place.tolist()), camera, self._scene)
         steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, DISC_PX)] * 2), axis=-1)
         disc = radius * camera.K[0, 0].item() / z * steps[np.hypot(*steps.T) <= 1]

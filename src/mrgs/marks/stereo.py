@@ -100,13 +100,13 @@ class _Patch(NamedTuple):
 
 
 class PhotoStereo:
-    """Finds depths at which photos agree: RGB photos of the views of a survey's thermal photos, or
-    without any the thermal ones."""
+    """Finds depths at which photos agree: RGB photos of the ``views`` whose thermal photos are
+    surveyed, or without any the thermal ones."""
 
     def __init__(self, survey: PhotoSurvey, views: Sequence[View]) -> None:
         self._survey = survey
         self._modality = RGB if any(RGB in view.images for view in views) else THERMAL
-        self._views = [views[index] for index in survey.chosen]
+        self._views = views
         self._photos: dict[int, _Photo] = {}
 
     def depth(self, camera: Camera, x: float, y: float, depth: float) -> float:
@@ -114,11 +114,11 @@ class PhotoStereo:
         photos do not give more. SceneError if a photo cannot be read."""
         pixel = torch.tensor([x, y], dtype=torch.float64)
         place = camera.unproject(pixel, pixel.new_tensor(depth)).numpy()
+        point = place[None].astype(np.float32)
         seeing = {
             index: item
-            for index, item in enumerate(self._survey)
-            if self._modality in self._views[index].images
-            and len(item.shown(place[None].astype(np.float32)).rows)
+            for index, item in self._survey.near(point)
+            if self._modality in self._views[index].images and len(item.shown(point).rows)
         }
         if len(seeing) < FEWEST_PHOTOS:
             return depth

@@ -36,14 +36,13 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.resolution import square_about
 from mrgs.marks.run_marks import spot_radius
 from mrgs.pictures.files import to_array
-from mrgs.scene import THERMAL, Camera, Rendering, Scene, SceneBounds, View, evenly_spaced
+from mrgs.scene import THERMAL, Camera, Rendering, Scene, SceneBounds, View
 from mrgs.scene.depth_map import DepthMap, SurfaceRenderer, visible
 from mrgs.survey import Survey
 
-VIEWS = 60
-"""Number of views that are surveyed, evenly spaced over those given."""
+WIDTH_PX, MANY = 320, 150
+"""Width of the renderings that are searched; narrower for more views than this, for memory."""
 
-WIDTH_PX = 320
 SURFACE_ALPHA = 0.9
 DEPTH_JUMP = 0.1
 """Relative difference of depth within 3×3 pixels above which a pixel counts as an edge."""
@@ -134,8 +133,7 @@ def find_spots(
 ) -> tuple[list[Spot], list[Spot]]:
     """The hottest and the coldest spots, at most ``count`` of each, the most extreme first; none in
     the sky beyond ``ball``, nor near to all points [N, 3] of a ``judged`` mark."""
-    thermal = [index for index, view in enumerate(views) if THERMAL in view.images]
-    chosen = [thermal[place] for place in evenly_spaced(len(thermal), VIEWS)]
+    chosen = [index for index, view in enumerate(views) if THERMAL in view.images]
     points = _survey(views, chosen, render, ball)
     if points is None:
         return [], []
@@ -155,9 +153,10 @@ def _survey(
 ) -> _Points | None:
     """Step 1: the surface points of the chosen views; None if there are none."""
     parts, images = [], {}
+    widest = round(WIDTH_PX * min(1.0, MANY / max(len(chosen), 1)) ** 0.5)
     for index in chosen:
         camera = views[index].images[THERMAL].camera
-        camera = camera.with_width(min(WIDTH_PX, camera.width))
+        camera = camera.with_width(min(widest, camera.width))
         rendering = render(camera)
         image = rendering[THERMAL].image[..., 0].numpy()
         depth = rendering.surface_depth(THERMAL).float().numpy()
@@ -404,9 +403,10 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> 
     stated = survey.hot_places, survey.cold_places
     counts = [PROPOSED if count is None else count for count in stated]
     most = CANDIDATES * max(counts)
-    found = find_spots(scene.views, regions.render, most, scene.reach, judged)
+    surveyed = replace(scene, train=scene.survey_views(THERMAL))
+    found = find_spots(surveyed.views, regions.render, most, scene.reach, judged)
     chosen = [
-        _standing_out(spots[: CANDIDATES * count], count, marks, scene, regions)
+        _standing_out(spots[: CANDIDATES * count], count, marks, surveyed, regions)
         for spots, count in zip(found, counts, strict=True)
     ]
     anomalies = [each for kept, _ in chosen for each in kept]

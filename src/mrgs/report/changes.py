@@ -64,8 +64,7 @@ CORE = 0.5
 """A change is where ΔT is at least this share of its largest values, the upper twentieth."""
 
 FEWEST_PHOTOS = 3
-"""Photos of each date that must show a place, as a share of these where not all are surveyed:
-nothing confirms the depth of what one shows."""
+"""Photos of each date that must show a place: nothing confirms the depth of what fewer show."""
 
 FEWEST_PLACES = 8
 LEAST_PX = 2.0
@@ -127,14 +126,12 @@ class _Date:
         assert marked.meter.uncertainty.budget is not None
         self.scene, self.uncertainty = marked.scene, marked.meter.uncertainty
         self.budget = marked.meter.uncertainty.budget
-        surveyed, photos = len(self.meter.survey.chosen), len(self.scene.train_photos(THERMAL))
-        self.fewest = max(1, round(FEWEST_PHOTOS * surveyed / photos))
         self.regions = self.meter.regions(marks)
 
     def celsius(self, points: Points) -> tuple[Values, Values]:
         """°C of points on surfaces, corrected for areas with settings of their own, and as the
-        photos' cameras see them; NaN where fewer than ``fewest`` see one."""
-        seen = self.meter.survey.temperatures(points.astype(np.float32), self.fewest)
+        photos' cameras see them; NaN where fewer than ``FEWEST_PHOTOS`` see one."""
+        seen = self.meter.survey.temperatures(points.astype(np.float32), FEWEST_PHOTOS)
         seen = seen.astype(np.float64)
         celsius = in_unit(THERMAL, seen, self.run.temperature)
         return self.regions.corrected_at(points, celsius), celsius
@@ -145,7 +142,7 @@ class _Date:
         found = self.uncertainty.of_mark(points, in_photos, self.regions)
         if math.isnan(found.own):
             single = points.astype(np.float32)
-            shown = [each.shown(single).rows for each in self.meter.survey]
+            shown = [each.shown(single).rows for _, each in self.meter.survey.near(single)]
             shown = [rows for rows in shown if len(rows) >= FEWEST_PLACES]
             pieces = [shown[index] for index in evenly_spaced(len(shown), MOST_PIECES)]
             every = [self.uncertainty.of_mark(points[each], in_photos[each]) for each in pieces]
@@ -517,10 +514,11 @@ class _Comparison:
     def _eye(self, points: Points) -> Place:
         """The nearest camera that sees the middle of a part."""
         middle = points[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin()]
+        point = middle[None].astype(np.float32)
         cameras = [
             each.camera.position.numpy()
-            for each in self._dates[0].meter.survey
-            if len(each.shown(middle[None].astype(np.float32)).rows)
+            for _, each in self._dates[0].meter.survey.near(point)
+            if len(each.shown(point).rows)
         ]
         x, y, z = min(cameras, key=lambda place: float(np.linalg.norm(place - middle))).tolist()
         return x, y, z

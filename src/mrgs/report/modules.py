@@ -37,7 +37,7 @@ from mrgs.report.sections import LEAST_W_M2, MOST_PIXEL_CM
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.baked import bake
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Scene, View
+from mrgs.scene import THERMAL, Scene
 from mrgs.scene.depth_map import visible
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
@@ -51,10 +51,6 @@ NOMINAL_W_M2 = 1000.0
 
 FINEST, COARSEST = 1 / 40, 1 / 8
 """Pixels of the map and of the photos, as shares of a module's shorter side."""
-
-ENOUGH, POINTS, NEW = 6, 5000, 0.2
-"""Photos of one place that are enough; points of the scene by which they are counted; and the share
-of its points that a photo must show to which others are too few."""
 
 EDGE_M, CELLS, SLACK_M = 0.07, 6, 2.0
 """The frame, and what blur mixes with it; cells along the shorter side of a module; and how far
@@ -201,7 +197,7 @@ def module_table(
         raise RunError(
             f"the photos of {scene.name} do not look down: photograph a plant from above"
         )
-    scene = replace(scene, train=_enough(scene))
+    scene = replace(scene, train=scene.survey_views(THERMAL))
     baked = bake(run.model, scene.train_cameras, run.temperature)
     maps = survey(baked, scene)
     focal = np.median([photo.camera.focal_px for photo in scene.train_photos(THERMAL)])
@@ -229,20 +225,6 @@ def module_table(
     return ModuleTable(
         scene, shown, names, corners, rows, sides, pixel, survey_, power_w, yield_kwh, notes
     )
-
-
-def _enough(scene: Scene) -> tuple[View, ...]:
-    """The training views without those whose places enough others show, drawn at random."""
-    rng, positions = np.random.default_rng(0), scene.points.positions.numpy()
-    points = positions[rng.permutation(len(positions))[:POINTS]].astype(np.float32)
-    counts, kept = np.zeros(len(points), int), set[int]()
-    for index in rng.permutation(len(scene.train)).tolist():
-        photo = scene.train[index].images.get(THERMAL)
-        rows = np.zeros(0, int) if photo is None else visible(photo.camera, points).rows
-        if photo is not None and (not len(rows) or (counts[rows] < ENOUGH).mean() > NEW):
-            counts[rows] += 1
-            kept.add(index)
-    return tuple(view for index, view in enumerate(scene.train) if index in kept)
 
 
 @dataclass(frozen=True, eq=False)

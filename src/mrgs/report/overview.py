@@ -330,23 +330,23 @@ def overviews(
     style: Style = PLAIN,
 ) -> list[Overview]:
     """The views that together see most marks by their middles, the one that sees most first; at
-    most ``MOST_OVERVIEWS``, by the survey of the scene's thermal training photos. Without marks,
+    most ``MOST_OVERVIEWS``, by the survey of the scene's ``survey_views``. Without marks,
     the view that shows most of the scene. SceneError if a photo cannot be read."""
-    thermal = [view for view in scene.train if THERMAL in view.images]
+    thermal = scene.survey_views(THERMAL)
     if not marks and thermal and len(scene.points.positions):
         cameras = [view.images[THERMAL].camera for view in thermal]
         view = thermal[best_view(cameras, scene.points.positions)]
         return [overview(view, {}, scene, render, style)]
     names = np.array([*marks])
     middles = np.array([np.mean(mark.points, axis=0) for mark in marks.values()], np.float32)
-    seen = [names[item.shown(middles).rows].tolist() for item in survey]
+    seen = {n: names[item.shown(middles).rows].tolist() for n, item in survey.near(middles)}
     left, chosen = set(marks), []
     for _ in range(MOST_OVERVIEWS):
-        best = max(range(len(seen)), key=lambda i: len(left & set(seen[i])), default=None)
+        best = max(seen, key=lambda n: len(left & set(seen[n])), default=None)
         if best is None or not left & set(seen[best]):
             break
         shown = {name: marks[name] for name in seen[best] if name in left}
-        view = thermal[survey.chosen[best]]
+        view = thermal[best]
         chosen.append(overview(view, shown, scene, render, style))
         left -= set(shown)
     return chosen

@@ -113,8 +113,8 @@ class TrainedRun(ABC):
         A point counts as seen by a camera where the rendered surface lies within 3 % of its depth:
         points behind a surface, in the air or on an outline are not. The value is the mean over the
         cameras that see it, nearer ones weighing more, with the emissivity of the photos
-        (``RunMarks.temperature_at`` has that of marked areas). The first call renders at most 64
-        training cameras; later ones only look the points up.
+        (``RunMarks.temperature_at`` has that of marked areas). A camera is rendered when a
+        point in its image is first asked for; of more than 64, those that suffice for every place.
 
         ValueError if the scene has no thermal photos to learn from or no known °C, or ``points``
         has another shape; SceneError if the scene is no longer where it was, or cannot be used."""
@@ -128,7 +128,7 @@ class TrainedRun(ABC):
     def _photo_survey(self) -> PhotoSurvey:
         """What the scene's thermal cameras see of the model."""
         scene = self.load_scene()
-        cameras = [photo.camera for photo in scene.train_photos(THERMAL)]
+        cameras = [view.images[THERMAL].camera for view in scene.survey_views(THERMAL)]
         if not cameras:
             raise ValueError("no °C: the scene has no thermal photos to learn from")
         return PhotoSurvey(before_background(self.render, scene.reach), cameras)

@@ -21,9 +21,15 @@ Points: TypeAlias = Float32[np.ndarray, "n 3"]
 SurfaceRenderer: TypeAlias = Callable[[Camera], Rendering]
 """Renders all modalities of a model from a camera, with the depths of their surfaces."""
 
-MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
-"""Largest number of cameras, and width of their images: memory and time."""
+"""Largest width of images: memory and time."""
+
+ALWAYS, ENOUGH = 64, 4
+"""Cameras that are surveyed in any case, and cameras by which a place is measured."""
+
+POINTS, NEW = 5000, 0.1
+"""Points of the scene by which cameras are counted; and the share of its points that a further
+camera must show to which the others are too few."""
 
 MIN_ALPHA = 0.5
 """A pixel that lets through more light than this has no depth."""
@@ -78,7 +84,8 @@ def carry_over(
     """Image values of each point [N, C], averaged over the cameras that see it with weights 1 / z²,
     and the number of these cameras [N]. Pixels with NaN do not count. For the tolerances see
     ``DepthMap.shown``."""
-    total = np.zeros((len(points), maps[0].image.shape[2]), dtype=np.float32)
+    channels = maps[0].image.shape[2] if maps else 1
+    total = np.zeros((len(points), channels), dtype=np.float32)
     weight = np.zeros(len(points), dtype=np.float32)
     cameras = np.zeros(len(points), dtype=np.int64)
     for item in maps:
@@ -104,13 +111,32 @@ def visible(camera: Camera, positions: Points) -> PointsInImage:
     return PointsInImage(places, (y, x), z)
 
 
-def surveying_cameras(cameras: Sequence[Camera]) -> list[Camera]:
-    """At most ``MAX_VIEWS`` of the cameras, spread evenly, at most ``MAX_WIDTH_PX`` wide."""
-    chosen = [cameras[index] for index in evenly_spaced(len(cameras), MAX_VIEWS)]
-    return [
-        camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX)
-        for camera in chosen
-    ]
+def surveying(
+    cameras: Sequence[Camera], points: Points, always: int = ALWAYS, enough: int = ENOUGH
+) -> list[int]:
+    """Indices of as many cameras as are needed to measure what they show: ``always``, spread
+    evenly, and further ones, those first that show most points that fewer than ``enough`` have in
+    their images, as long as these are a share ``NEW`` of their points."""
+    chosen = evenly_spaced(len(cameras), always)
+    if len(chosen) == len(cameras):
+        return chosen
+    points = points[np.random.default_rng(0).permutation(len(points))[:POINTS]]
+    rows = [visible(camera, points).rows for camera in cameras]
+    counts = np.bincount(np.concatenate([rows[each] for each in chosen]), minlength=len(points))
+    while True:
+        lacking = np.array([np.count_nonzero(counts[each] < enough) for each in rows])
+        lacking[[NEW * len(each) >= few for each, few in zip(rows, lacking, strict=True)]] = 0
+        lacking[chosen] = 0
+        best = int(lacking.argmax())
+        if not lacking[best]:
+            return sorted(chosen)
+        counts[rows[best]] += 1
+        chosen.append(best)
+
+
+def reduced(camera: Camera) -> Camera:
+    """The camera, its image at most ``MAX_WIDTH_PX`` wide."""
+    return camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX)
 
 
 def before_background(render: SurfaceRenderer, bounds: SceneBounds | None) -> SurfaceRenderer:
@@ -129,34 +155,56 @@ def before_background(render: SurfaceRenderer, bounds: SceneBounds | None) -> Su
     return draw
 
 
-class PhotoSurvey:
-    """What the photos' cameras see of the model, rendered when it is first asked for. ``chosen``
-    are the indices of the cameras that are surveyed, at most ``MAX_VIEWS``, spread evenly."""
+class DepthMaps:
+    """The depth maps of cameras by their numbers, each made when it is first asked for."""
 
-    def __init__(self, render: SurfaceRenderer, cameras: Sequence[Camera]) -> None:
-        self.chosen = evenly_spaced(len(cameras), MAX_VIEWS)
-        self._render = render
-        self.cameras = [cameras[index] for index in self.chosen]
-        self.maps: list[DepthMap] = []
+    def __init__(self, cameras: Sequence[Camera], make: Callable[[int], DepthMap]) -> None:
+        self.cameras = cameras
+        self._make = make
+        self._made: dict[int, DepthMap] = {}
+
+    def __getitem__(self, number: int) -> DepthMap:
+        if number not in self._made:
+            self._made[number] = self._make(number)
+        return self._made[number]
 
     def __iter__(self) -> Iterator[DepthMap]:
-        """Depth and normalised temperature of each camera that is surveyed, in the order of
-        ``chosen``; no temperature on outlines."""
-        if not self.maps:
-            maps = []  # all or none, if a rendering fails
-            for small in surveying_cameras(self.cameras):
-                rendering = self._render(small).cpu()
-                values = torch.full((small.height, small.width), torch.nan)
-                if THERMAL in rendering:
-                    inner = rendering.surface_depth(THERMAL, max_step=MAX_STEP).isfinite()
-                    values = torch.where(inner, rendering[THERMAL].image[..., 0], values)
-                depth = rendering.visible_depth().float().numpy()
-                maps.append(DepthMap(small, depth, values[..., None].numpy()))
-            self.maps = maps
-        return iter(self.maps)
+        return (self[number] for number in range(len(self.cameras)))
+
+    def near(self, points: Points) -> Iterator[tuple[int, DepthMap]]:
+        """The maps that have any of the points in their image; the others are not made."""
+        return ((number, self[number]) for number in self._near(points))
+
+    def made_near(self, points: Points) -> bool:
+        """Whether all maps that have any of the points in their image have been made."""
+        return all(number in self._made for number in self._near(points))
+
+    def _near(self, points: Points) -> Iterator[int]:
+        cameras = enumerate(self.cameras)
+        return (number for number, camera in cameras if len(visible(camera, points).rows))
+
+
+class PhotoSurvey(DepthMaps):
+    """What cameras, such as those of ``Scene.survey_views``, see of the model: depth and normalised
+    temperature; no temperature on outlines."""
+
+    def __init__(self, render: SurfaceRenderer, cameras: Sequence[Camera]) -> None:
+        super().__init__(cameras, self._seen)
+        self._render = render
+
+    def _seen(self, number: int) -> DepthMap:
+        small = reduced(self.cameras[number])
+        rendering = self._render(small).cpu()
+        values = torch.full((small.height, small.width), torch.nan)
+        if THERMAL in rendering:
+            inner = rendering.surface_depth(THERMAL, max_step=MAX_STEP).isfinite()
+            values = torch.where(inner, rendering[THERMAL].image[..., 0], values)
+        depth = rendering.visible_depth().float().numpy()
+        return DepthMap(small, depth, values[..., None].numpy())
 
     def temperatures(self, points: Points, least: int = 1) -> Float32[np.ndarray, " n"]:
         """What the cameras see at points on surfaces, NaN where fewer than ``least`` see one, [N],
         normalised: the temperature of a place, wherever one is stated."""
-        values, cameras = carry_over(list(self), points, 0.0, SURFACE_DEPTH)
+        maps = [each for _, each in self.near(points)]
+        values, cameras = carry_over(maps, points, 0.0, SURFACE_DEPTH)
         return np.where(cameras >= least, values[:, 0], np.float32(np.nan))

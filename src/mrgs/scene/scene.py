@@ -16,6 +16,7 @@ from torch import Tensor
 from mrgs.errors import SceneError, warn_user
 from mrgs.scene.arrays import Array, as_floats, as_tensor, as_whole
 from mrgs.scene.camera import Camera
+from mrgs.scene.depth_map import surveying
 from mrgs.scene.lens import Lens, matrix_of, pinhole_of, undistort
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
 from mrgs.scene.point_cloud import GREY, PointCloud, random_points
@@ -175,6 +176,14 @@ class Scene:
     def train_photos(self, modality: Modality) -> list[PosedImage]:
         """The training photos of a modality."""
         return [view.images[modality] for view in self.train if modality in view.images]
+
+    def survey_views(self, modality: Modality | None = None) -> tuple[View, ...]:
+        """As many training views, with a photo of the modality if one is given, as are needed to
+        measure what all of them show: all where they are at most 64, see ``surveying``."""
+        views = [view for view in self.train if modality is None or modality in view.images]
+        cameras = [view.images[modality].camera if modality else view.camera for view in views]
+        points = self.points.positions.numpy()
+        return tuple(views[index] for index in surveying(cameras, points))
 
     @property
     def modalities(self) -> tuple[Modality, ...]:

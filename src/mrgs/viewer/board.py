@@ -120,10 +120,9 @@ class MarkBoard:
         at_once: bool,
     ) -> float:
         """What a spot at a pixel (column, row) of a picture with these z-depths would read; NaN
-        where no photo sees it, the model changes, or, ``at_once``, nothing has been read yet."""
-        if at_once and not self.picker.meter.survey.maps:
-            return np.nan
-        return self.picker.temperature(camera, depth, pixel, self.regions)
+        where no photo sees it, the model changes, or, ``at_once``, nothing has been read there
+        yet."""
+        return self.picker.temperature(camera, depth, pixel, self.regions, at_once)
 
     def subscribe(self, listener: Listener) -> None:
         """Call a function after each change; to be called by one thread, as ``unsubscribe``."""

@@ -20,7 +20,7 @@ from mrgs.errors import RunError, warn_user
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import PhotoReadings
-from mrgs.marks.run_marks import MarkPicker, thermal_cameras
+from mrgs.marks.run_marks import MarkPicker, surveyed_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.page_data import camera_facts, world_facts
@@ -229,14 +229,15 @@ def instruments_of(subject: Subject) -> tuple[MarkPicker, Appraiser | None]:
     meter = MarkMeter(
         before_background(draw, None if subject.scene is None else subject.scene.reach),
         subject.temperature,
-        thermal_cameras(subject.scene),
+        surveyed_cameras(subject.scene),
         CaptureSettings.of(subject.scene),
         changes=changes,
     )
     appraise: Appraiser | None = None
     scene, temperature = subject.scene, subject.temperature
     if scene is not None and not changes:
-        readings = PhotoReadings(draw, subject.camera_response, scene.train, temperature)
+        views = scene.survey_views(THERMAL)
+        readings = PhotoReadings(draw, subject.camera_response, views, temperature)
         appraise = partial(UncertaintyMeter.of, readings, scene, temperature)
     return MarkPicker(meter, scene, by_photos=not changes), appraise
 
