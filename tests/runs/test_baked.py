@@ -177,3 +177,11 @@ def test_the_surface_of_a_rendering_is_not_what_shines_through_it():
     rendering = walls.render(make_camera(0.0), RGB)
     assert float(rendering.surface_depth(RGB, 0.5)[13, 16]) == pytest.approx(4.0, rel=1e-3)
     assert float(rendering[RGB].depth[13, 16]) > 20
+
+
+def test_a_model_for_another_device_is_copied_there_to_be_rendered():
+    host, elsewhere = (bake(make_model(), CAMERAS, None, torch.device(d)) for d in ("cpu", "meta"))
+    assert {each.device.type for each in elsewhere.tensors().values()} == {"cpu"}
+    assert {each.device.type for each in elsewhere._rendered.tensors().values()} == {"meta"}
+    assert elsewhere.subset(torch.arange(3)).device.type == "meta"
+    assert host._rendered.means is host.means

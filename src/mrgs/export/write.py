@@ -149,7 +149,7 @@ def _job(
 ) -> ExportJob:
     run = None
     if isinstance(model, Run):
-        run, model = model, bake(model.model, scene.train_cameras, model.temperature)
+        run, model = model, bake(model.model, scene.train_cameras, model.temperature, model.device)
     baked = model.only(scene.modalities)  # others still are as they began
     if not baked.modalities:
         has = ", ".join(modality.title for modality in scene.modalities)

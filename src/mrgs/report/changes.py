@@ -693,7 +693,7 @@ def _difference_map(found: Differences) -> TemperatureMap | None:
     if not has_map(scene):
         return None
     try:
-        baked = bake(run.model, scene.train_cameras, run.temperature)
+        baked = bake(run.model, scene.train_cameras, run.temperature, run.device)
         shown = draw_temperature_map(baked, scene)
     except (ConfigError, RunError):
         return None

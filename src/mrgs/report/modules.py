@@ -198,7 +198,7 @@ def module_table(
             f"the photos of {scene.name} do not look down: photograph a plant from above"
         )
     scene = replace(scene, train=scene.survey_views(THERMAL))
-    baked = bake(run.model, scene.train_cameras, run.temperature)
+    baked = bake(run.model, scene.train_cameras, run.temperature, run.device)
     maps = survey(baked, scene)
     focal = np.median([photo.camera.focal_px for photo in scene.train_photos(THERMAL)])
     pixel, least = median_distance(maps) / float(focal), min(size_m)

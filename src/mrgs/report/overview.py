@@ -275,7 +275,7 @@ def temperature_map(run: Run, scene: Scene, regions: Regions) -> TemperatureMap 
     others. SceneError if a photo cannot be read."""
     if scene.temperature is None or not scene.world.metric or not has_map(scene):
         return None
-    baked = bake(run.model, scene.train_cameras, run.temperature)
+    baked = bake(run.model, scene.train_cameras, run.temperature, run.device)
     try:
         return draw_temperature_map(baked, scene, regions)
     except (ConfigError, RunError):

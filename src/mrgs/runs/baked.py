@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -28,6 +29,7 @@ from mrgs.scene import (
     evenly_spaced,
 )
 from mrgs.scene.radiometry import BandRadiance
+from mrgs.system.gpu import HOST
 from mrgs.system.torch_modes import own_modes
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
@@ -59,6 +61,7 @@ class BakedModel:
         temperature: the scale of the temperatures; None if the scene has no known °C.
         dilation: of the projected covariances.
         radiance: in which temperatures are blended; None to blend them as they are.
+        device: where the splats are rendered; they and the images are in the host's memory.
     """
 
     means: Float[Tensor, "n 3"]
@@ -72,6 +75,12 @@ class BakedModel:
     _: KW_ONLY
     dilation: Dilation
     radiance: BandRadiance | None = None
+    device: torch.device = HOST
+
+    @cached_property
+    def _rendered(self) -> BakedModel:
+        """The splats where they are rendered."""
+        return self.map_tensors(lambda tensor: tensor.to(self.device))
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -148,17 +157,17 @@ class BakedModel:
         """Render any camera, or one for each modality to render, without gradients, and the median
         depth of a modality ``surface``. ValueError if ``cameras`` is something else."""
         cameras = asked_cameras(cameras, self.modalities)
-        with torch.no_grad(), own_modes(self.means.device):
-            blends = self._blend(cameras)
+        with torch.no_grad(), own_modes(self.device):
+            blends = self._rendered._blend(cameras).cpu()
             if surface is None:
                 return blends
             return Rendering(dict(blends), {surface: self.median_depth(surface, cameras[surface])})
 
     def median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
         """The z-depth at which half of a modality's light is blocked; NaN where less is."""
-        projection = self.dilation.projection(camera, self.means.device)
-        with own_modes(self.means.device):
-            return median_depth(self._geometry, self.opacities[modality], projection)
+        splats, projection = self._rendered, self.dilation.projection(camera, self.device)
+        with own_modes(self.device):
+            return median_depth(splats._geometry, splats.opacities[modality], projection).cpu()
 
     @property
     def _geometry(self) -> Geometry:
@@ -168,7 +177,7 @@ class BakedModel:
         """The modalities' values, each blended with its opacities, before black."""
         blends: dict[Modality, Blend] = {}
         for camera, modalities in shared_passes(cameras):
-            projection = self.dilation.projection(camera, self.means.device)
+            projection = self.dilation.projection(camera, self.device)
             values = [self.values(each, cameras[each].position) for each in modalities]
             layers = [
                 layer_of(each, self.opacities[each], own, self.radiance)
@@ -181,11 +190,14 @@ class BakedModel:
 
 @torch.no_grad()
 def bake(
-    model: Model, cameras: Sequence[Camera], temperature: TemperatureRange | None
+    model: Model,
+    cameras: Sequence[Camera],
+    temperature: TemperatureRange | None,
+    device: torch.device = HOST,
 ) -> BakedModel:
-    """Fold the field of a trained model into plain splats, with colours that are fitted for the
-    directions from the photos' cameras. What the field does not change is shared, not copied.
-    ValueError without a camera."""
+    """Fold the field of a trained model into plain splats, to be rendered on a device, with colours
+    that are fitted for the directions from the photos' cameras. What the field does not change is
+    shared, not copied. ValueError without a camera."""
     if not cameras:
         raise ValueError("colours cannot be fitted without a camera")
     gaussians = model.gaussians
@@ -210,6 +222,7 @@ def bake(
         temperature=temperature,
         dilation=model.dilation,
         radiance=model.radiance,
+        device=device,
     )
 
 
