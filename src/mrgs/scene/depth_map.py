@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Int64
+from scipy import sparse
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import THERMAL
@@ -122,10 +123,13 @@ def surveying(
         return chosen
     points = points[np.random.default_rng(0).permutation(len(points))[:POINTS]]
     rows = [visible(camera, points).rows for camera in cameras]
-    counts = np.bincount(np.concatenate([rows[each] for each in chosen]), minlength=len(points))
+    ends = np.cumsum([0, *map(len, rows)])
+    ones, shape = np.ones(ends[-1], int), (len(cameras), len(points))
+    shown = sparse.csr_matrix((ones, np.concatenate(rows), ends), shape)
+    counts = np.asarray(shown[chosen].sum(axis=0)).ravel()
     while True:
-        lacking = np.array([np.count_nonzero(counts[each] < enough) for each in rows])
-        lacking[[NEW * len(each) >= few for each, few in zip(rows, lacking, strict=True)]] = 0
+        lacking = shown @ (counts < enough)
+        lacking[lacking <= NEW * np.diff(ends)] = 0
         lacking[chosen] = 0
         best = int(lacking.argmax())
         if not lacking[best]:
