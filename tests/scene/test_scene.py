@@ -14,6 +14,7 @@ from mrgs.scene import (
     Scene,
     View,
 )
+from mrgs.scene.scene import TIMES_DEPTH
 from tests.helpers.gaussians import NEAR_INFRARED
 
 
@@ -39,6 +40,18 @@ def test_extent_is_the_radius_of_all_training_cameras():
         View("b", {RGB: image_at(0, 5, 6), THERMAL: image_at(2, 5, 6)}),
     )
     assert scene_of(rgb_alone, both).extent == pytest.approx(1.1 * 2)
+
+
+def test_extent_of_a_survey_from_above_follows_from_how_far_its_cameras_see():
+    lens = Camera.from_fov(64, 48, 40.0)
+    x, y = torch.meshgrid(torch.arange(100.0), torch.arange(40.0), indexing="ij")
+    points = torch.stack([x, y, 0 * x], dim=2).flatten(0, 1)
+    for span, expected in ((100.0, TIMES_DEPTH * 10.0), (8.0, 1.1 * 4.0)):
+        eyes = [(span * step / 40, 20.0, 10.0) for step in range(41)]
+        cameras = [lens.look_at(eye, (eye[0], 20.0, 0.0), up=(0.0, 1.0, 0.0)) for eye in eyes]
+        views = [View("v", {RGB: PosedImage(each, lambda: Pixels(None))}) for each in cameras]
+        cloud = PointCloud(points, torch.zeros(4000, 3))
+        assert Scene("flight", tuple(views), (), cloud, None).extent == pytest.approx(expected)
 
 
 def test_extent_of_cameras_that_stand_still_is_the_distance_of_the_points():

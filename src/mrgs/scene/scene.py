@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from itertools import zip_longest
 from typing import TypeAlias
 
@@ -16,7 +16,7 @@ from torch import Tensor
 from mrgs.errors import SceneError, warn_user
 from mrgs.scene.arrays import Array, as_floats, as_tensor, as_whole
 from mrgs.scene.camera import Camera
-from mrgs.scene.depth_map import surveying
+from mrgs.scene.depth_map import surveying, visible
 from mrgs.scene.lens import Lens, matrix_of, pinhole_of, undistort
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
 from mrgs.scene.point_cloud import GREY, PointCloud, random_points
@@ -28,11 +28,14 @@ from mrgs.scene.radiometry import (
     TemperatureRange,
     are_everyday,
 )
-from mrgs.scene.view import Pixels, PosedImage, View
+from mrgs.scene.view import Pixels, PosedImage, View, evenly_spaced
 from mrgs.scene.world import SceneBounds, WorldFrame
 
 STILL_CAMERAS = 1e-3
 """Cameras that stay within this share of the distance to what they see count as standing still."""
+
+TIMES_DEPTH, MOST_CAMERAS, MOST_POINTS = 1.25, 32, 20_000
+"""Limit of a scene's extent; and cameras and points, evenly spaced, from which it is found."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -146,17 +149,25 @@ class Scene:
             f"{modalities}, {scale}, {len(self.points):,} points)"
         )
 
-    @property
+    @cached_property
     def extent(self) -> float:
         """Radius of the training cameras about their mean, times 1.1 (3DGS's scene extent), in
-        scene units; the median distance of the start points where the cameras hardly move."""
+        scene units; at most ``TIMES_DEPTH`` the median depth of the start points that they see, as
+        over a solar plant or along a street; the median distance of the start points where the
+        cameras hardly move."""
         positions = torch.stack(
             [camera.position for view in self.train for camera in view.cameras.values()]
         )
-        centre = positions.mean(dim=0)
+        centre, points = positions.mean(dim=0), self.points.positions
         extent = 1.1 * (positions - centre).norm(dim=1).max().item()
-        distance = (self.points.positions.double() - centre).norm(dim=1).median().item()
-        return extent if extent > STILL_CAMERAS * distance else distance
+        distance = (points.double() - centre).norm(dim=1).median().item()
+        if extent <= STILL_CAMERAS * distance:
+            return distance
+        some = points[:: -(-len(points) // MOST_POINTS) or 1].numpy()
+        chosen = evenly_spaced(len(self.train), MOST_CAMERAS)
+        seen = [visible(self.train[index].camera, some).z for index in chosen]
+        depths = [float(np.median(z)) for z in seen if len(z)]
+        return min(extent, TIMES_DEPTH * float(np.median(depths))) if depths else extent
 
     @property
     def reach(self) -> SceneBounds:

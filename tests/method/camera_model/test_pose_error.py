@@ -146,6 +146,8 @@ def test_both_halves_of_a_photo_are_sampled(size):
         (0.3, 0.0, False, True),
         (0.5, 0.2, True, False),
         (0.5, 0.45, False, False),
+        (0.72, 0.65, False, False),
+        (2.4, 1.8, False, False),
         (2.0, 2.5, False, False),
     ],
 )

@@ -38,6 +38,10 @@ WELL_SEEN = 4
 """Number of the six axes of a motion that show whether poses are wrong: those along which a view
 shows most. Along the others, unfinished parts at a wrong depth look like a wrong pose."""
 
+CLEARLY = 1.5
+"""Ratio of what halves agree on to what they differ by from which on poses are wrong. To refine
+poses that are right ruins a model; small errors that are not refined do less harm."""
+
 UNCLEAR = 2.0
 """Ratio above which halves that differ give no evidence."""
 
@@ -149,7 +153,8 @@ class PoseAgreement(NamedTuple):
     def is_wrong(self) -> bool:
         """Whether the poses are wrong: by what the halves agree on beyond what they differ by. A
         model that is not right differs from each half otherwise, a wrong pose from both alike."""
-        return self.agreed_px**2 - self.apart_px**2 > WRONG_PX**2
+        clear = self.agreed_px > CLEARLY * self.apart_px
+        return clear and self.agreed_px**2 - self.apart_px**2 > WRONG_PX**2
 
     @property
     def is_right(self) -> bool:
