@@ -24,6 +24,12 @@ def ground(width: float, height: float) -> np.ndarray:
     return (low + size * np.random.default_rng(0).random((4000, 3))).astype(np.float32)
 
 
+def flat_rendering(camera: Camera) -> Rendering:
+    """A plane at a distance of 10."""
+    flat = torch.ones(camera.height, camera.width)
+    return Rendering({THERMAL: Blend(flat[..., None], 10 * flat, flat)})
+
+
 def test_every_place_of_a_long_flight_is_seen_often_enough_by_few_cameras():
     cameras, points = flight(20, 40, 2.0), ground(38.0, 38.0)
     chosen = surveying(cameras, points)
@@ -64,8 +70,7 @@ def test_only_cameras_that_may_see_a_point_are_rendered():
 
     def render(camera: Camera) -> Rendering:
         drawn.append(camera)
-        flat = torch.ones(camera.height, camera.width)
-        return Rendering({THERMAL: Blend(flat[..., None], 10 * flat, flat)})
+        return flat_rendering(camera)
 
     cameras = flight(1, 40, 2.0)
     survey = PhotoSurvey(render, cameras)
@@ -77,3 +82,15 @@ def test_only_cameras_that_may_see_a_point_are_rendered():
     away = np.array([[0.0, 90.0, 0.0]], np.float32)
     assert np.isnan(survey.temperatures(away)).all()
     assert len(drawn) < 10
+
+
+def test_cameras_are_near_if_they_have_a_point_in_their_image():
+    rng, lens = np.random.default_rng(0), Camera.from_fov(64, 48, 40.0)
+    eyes = 20 * rng.normal(size=(50, 3))
+    cameras = [lens.look_at(eye, eye + rng.normal(size=3)) for eye in eyes]
+    survey = PhotoSurvey(flat_rendering, cameras)
+    for spread in (0.01, 1.0, 10.0, 100.0):
+        points = (15 * rng.normal(size=3) + spread * rng.normal(size=(9, 3))).astype(np.float32)
+        expected = [i for i, each in enumerate(cameras) if len(visible(each, points).rows)]
+        assert [number for number, _ in survey.near(points)] == expected
+    assert list(survey.near(np.zeros((0, 3), np.float32))) == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -184,8 +185,27 @@ class DepthMaps:
         return all(number in self._made for number in self._near(points))
 
     def _near(self, points: Points) -> Iterator[int]:
-        cameras = enumerate(self.cameras)
-        return (number for number, camera in cameras if len(visible(camera, points).rows))
+        if not len(points):
+            return
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
+        inside = (self._sides[:, :, :3] @ middle + self._sides[:, :, 3]).min(axis=1) >= -radius
+        for number in np.flatnonzero(inside).tolist():
+            if len(visible(self.cameras[number], points).rows):
+                yield number
+
+    @cached_property
+    def _sides(self) -> Float64[np.ndarray, "c 4 4"]:
+        """The planes through a camera's eye and the sides of its image: distances inwards are their
+        products with places and 1."""
+        found = []
+        for camera in self.cameras:
+            (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+            right, down = camera.width - cx, camera.height - cy
+            sides = np.array([[fx, 0, cx], [-fx, 0, right], [0, fy, cy], [0, -fy, down]])
+            sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+            found.append(sides @ camera.viewmat[:3].numpy())
+        return np.stack(found)
 
 
 class PhotoSurvey(DepthMaps):
