@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.hot_cells import FAR, Numbers, true_modules
 from mrgs.errors import RunError
-from mrgs.maps.modules import Modules, find_modules
+from mrgs.maps.modules import Modules, _rows, find_modules
 from mrgs_synth.solar_plant.layout import MODULE_M
 from tests.helpers.plant_map import Look, PlantMap, map_of, turned_plant
 
@@ -83,3 +83,10 @@ def test_a_meadow_has_no_modules() -> None:
     nothing = shown._replace(celsius=np.full_like(shown.celsius, np.nan))
     with pytest.raises(RunError, match="no grid of modules"):
         found_in(nothing, MODULE_M)
+
+
+def test_pieces_on_the_same_levels_are_one_row() -> None:
+    """Two lines of which either piece lacks some, a piece of the second line alone, another row."""
+    levels = np.array([0.0, 1.0, 1.0, 0.1, 0.0, 1.1, 1.0, 1.0, 4.0, 5.0])
+    piece = np.array([0, 0, 0, 1, 1, 1, 2, 2, 3, 3])
+    assert _rows(levels, piece) == {0: (1, 0), 1: (1, 0), 2: (1, 1), 3: (2, 0)}

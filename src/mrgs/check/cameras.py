@@ -152,7 +152,7 @@ def extent(evidence: Evidence) -> Iterator[Problem]:
 def distance_from_origin(evidence: Evidence) -> Iterator[Problem]:
     """Coordinates so large that single precision rounds them, such as a map's."""
     positions = torch.stack([camera.position for camera in evidence.scene.train_cameras])
-    distance, size = positions.mean(dim=0).norm().item(), evidence.scene.extent
+    distance, size = positions.median(dim=0).values.norm().item(), evidence.scene.extent
     if distance > _FARTHEST * size:
         yield Problem(
             "error",

@@ -264,9 +264,8 @@ def _numbered(at: Vectors, sides: Float64[np.ndarray, "2"]) -> tuple[np.ndarray,
     table = sparse.csgraph.connected_components(graph(_adjacent(steps, GAP)), directed=False)[1]
     links = sparse.csgraph.minimum_spanning_tree(graph(_linked(steps)))
     pieces, piece = sparse.csgraph.connected_components(links, directed=False)
-    numbers, level, row = np.zeros((count, 3), int), -np.inf, 0
-    middles = [np.median(at[piece == each], axis=0) for each in range(pieces)]
-    for each in sorted(range(pieces), key=lambda each: middles[each][1]):
+    numbers, row_of = np.zeros((count, 3), int), _rows(at[:, 1] / sides[1], piece)
+    for each in range(pieces):
         root = int(np.flatnonzero(piece == each)[0])
         order, before = sparse.csgraph.breadth_first_order(links, root, directed=False)
         for one in order[1:]:
@@ -274,14 +273,30 @@ def _numbered(at: Vectors, sides: Float64[np.ndarray, "2"]) -> tuple[np.ndarray,
             way = np.sign(way) * np.floor(np.abs(way) + np.array([HOLE, 0.5]))
             numbers[one, :0:-1] = numbers[before[one], :0:-1] + way
         numbers[order, 1:] -= numbers[order, 1:].min(axis=0) - 1
-        row += middles[each][1] > level + 0.5 * sides[1]
-        level = max(level, middles[each][1])
-        numbers[order, 0] = row
-    taken = np.zeros(row + 1, int)
-    for each in sorted(range(pieces), key=lambda each: middles[each][0]):
+        numbers[order, 0], above = row_of[each]
+        numbers[order, 1] += above
+    taken = np.zeros(numbers[:, 0].max() + 1, int)
+    for each in sorted(range(pieces), key=lambda each: np.median(at[piece == each, 0])):
         numbers[piece == each, 2] += taken[numbers[piece == each, 0]]
         taken[numbers[piece == each, 0]] = numbers[piece == each, 2].max()
     return numbers, table
+
+
+def _rows(levels: Float64[np.ndarray, " n"], piece: np.ndarray) -> dict[int, tuple[int, int]]:
+    """The row of each piece, from 1, and how many lines of its row lie above it; ``levels`` are
+    those of modules, in modules. What lies on the levels of a row belongs to it."""
+    pieces = [levels[piece == each] for each in range(piece.max() + 1)]
+    tops, bottoms = (np.array([end(each) for each in pieces]) for end in (np.min, np.max))
+    rows: list[list[int]] = []
+    for each in np.argsort(tops + bottoms).tolist():
+        if not rows or tops[each] > bottoms[rows[-1]].max() + 0.5:
+            rows.append([])
+        rows[-1].append(each)
+    return {
+        each: (number, round(tops[each] - tops[row].min()))
+        for number, row in enumerate(rows, 1)
+        for each in row
+    }
 
 
 def _in_space(
