@@ -295,7 +295,7 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
         distant_points=True,
         photo_temperatures=True,
         fitted_residuals=300,
-        densification=replace(config.densification, max_gaussians=max_gaussians),
+        densification=replace(config.densification, max_gaussians=max_gaussians, reset_every=None),
         field=replace(config.field, hidden_width=64, temperature_scale=1.0),
         loss=replace(config.loss, **SMOOTHNESS),
         optimizer=replace(config.optimizer, **CPU_RATES),

@@ -45,7 +45,7 @@ class AdaptiveDensityControl(Strategy):
         prune_opacity: Gaussians are removed if no modality's opacity reaches this.
         prune_above: Gaussians larger than this share of the extent are removed, after the first
             opacity reset, unless training starts with distant points.
-        reset_every: steps between opacity resets, up to ``stop``.
+        reset_every: steps between opacity resets, up to ``stop``; None for no resets.
         reset_opacity: what opacities are brought down to.
         max_gaussians: the cap; those with the largest gradients come first.
     """
@@ -58,13 +58,14 @@ class AdaptiveDensityControl(Strategy):
     clone_below: float = 0.01
     prune_opacity: float = 0.005
     prune_above: float = 0.1
-    reset_every: int = 3_000
+    reset_every: int | None = 3_000
     reset_opacity: float = 0.01
 
     def __post_init__(self) -> None:
         super().__post_init__()
         title = "{} of the densification"
-        require_within(self, ("every", "reset_every"), 1, MOST_STEPS, title)
+        counts = ("every",) if self.reset_every is None else ("every", "reset_every")
+        require_within(self, counts, 1, MOST_STEPS, title)
         require_within(self, ("start", "stop"), 0, MOST_STEPS, title)
         sizes = ("gradient_threshold", "clone_below", "prune_above")
         require_within(self, sizes, 0, MOST_WEIGHT, title)
@@ -101,7 +102,8 @@ class AdaptiveDensityControl(Strategy):
         counts, gaussians = None, optimizer.gaussians
         if densifies:
             gradients = mean_gradients(state)
-            prunes_large = step.number > self.reset_every and not step.has_sky
+            was_reset = self.reset_every is not None and step.number > self.reset_every
+            prunes_large = was_reset and not step.has_sky
             change = densify(gaussians, gradients, self, step.extent, prunes_large, step.generator)
             state = _no_views(len(change.keep) + len(change.added), change.keep.device)
             optimizer.replace_rows(change.keep, change.added)
@@ -111,8 +113,7 @@ class AdaptiveDensityControl(Strategy):
         return DensityUpdate(state, counts)
 
     def rescaled(self, factor: float) -> AdaptiveDensityControl:
-        """Start and stop move; opacity resets do not move closer together: the opacities need a
-        fixed number of steps to recover, so short schedules have none."""
+        """Start and stop move; opacity resets do not: the opacities need steps to recover."""
         start, stop = (max(1, round(step * factor)) for step in (self.start, self.stop))
         return replace(self, start=start, stop=stop)
 
@@ -126,7 +127,7 @@ class AdaptiveDensityControl(Strategy):
 
     def resets_at(self, step: int) -> bool:
         """Whether the opacities are reset after this step."""
-        return step < self.stop and step % self.reset_every == 0
+        return self.reset_every is not None and step < self.stop and step % self.reset_every == 0
 
 
 def _no_views(count: int, device: torch.device) -> StrategyState:
