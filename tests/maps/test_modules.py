@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.hot_cells import FAR, Numbers, true_modules
 from mrgs.errors import RunError
-from mrgs.maps.modules import Modules, _rows, find_modules
+from mrgs.maps.modules import Modules, _complete, _rows, find_modules
 from mrgs_synth.solar_plant.layout import MODULE_M
 from tests.helpers.plant_map import Look, PlantMap, map_of, turned_plant
 
@@ -90,3 +90,13 @@ def test_pieces_on_the_same_levels_are_one_row() -> None:
     levels = np.array([0.0, 1.0, 1.0, 0.1, 0.0, 1.1, 1.0, 1.0, 4.0, 5.0])
     piece = np.array([0, 0, 0, 1, 1, 1, 2, 2, 3, 3])
     assert _rows(levels, piece) == {0: (1, 0), 1: (1, 0), 2: (1, 1), 3: (2, 0)}
+
+
+def test_a_place_near_which_two_things_stand_out_is_filled_once() -> None:
+    sides = np.array([10.0, 20.0])
+    grid = np.stack(np.meshgrid(10.0 * np.arange(5), [0.0, 20.0]), axis=-1).reshape(-1, 2)
+    missing = (grid == (20.0, 20.0)).all(axis=1)
+    at = np.concatenate([grid[~missing], [[18.0, 20.0], [22.5, 20.0], [20.0, 24.0]]])
+    scores = np.append(np.full(9, 9.0), [2.0, 2.0, 2.0])
+    found = _complete(at, scores, sides)
+    assert sorted(map(tuple, found.tolist())) == sorted(map(tuple, grid.tolist()))

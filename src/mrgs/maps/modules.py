@@ -243,12 +243,14 @@ def _complete(
     spots = np.concatenate([sure + way * sides for way in (*np.eye(2), *-np.eye(2))])
     spots = spots[KDTree(sure / sides).query(spots / sides)[0] > 0.5]
     found = KDTree(spots / sides).query_ball_point(at / sides, 0.35)
-    filled = {
+    places = {
         tuple(spots[each].mean(axis=0))
         for each in found
         if len(each) > 1 and np.ptp(spots[each] / sides, axis=0).max() < ALIGNED
     }
-    return np.concatenate([sure, np.array(sorted(filled)).reshape(-1, 2)])
+    every = np.concatenate([sure, np.array(sorted(places)).reshape(-1, 2)])
+    twice = KDTree(every / sides).query_pairs(0.5, output_type="ndarray")  # near one place
+    return np.delete(every, twice[:, 1], axis=0)
 
 
 def _numbered(at: Vectors, sides: Float64[np.ndarray, "2"]) -> tuple[np.ndarray, np.ndarray]:
