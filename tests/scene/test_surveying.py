@@ -94,3 +94,4 @@ def test_cameras_are_near_if_they_have_a_point_in_their_image():
         expected = [i for i, each in enumerate(cameras) if len(visible(each, points).rows)]
         assert [number for number, _ in survey.near(points)] == expected
     assert list(survey.near(np.zeros((0, 3), np.float32))) == []
+    assert list(PhotoSurvey(flat_rendering, []).near(points)) == []

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pytest
@@ -54,7 +54,8 @@ class SceneUpTo(Scene):
 def test_the_background_does_not_count_on_the_scale_of_the_depth(subject, camera):
     near_and_far = []
     for radius in (1e3, 1e-3):  # nothing is background, then everything is
-        scene = SceneUpTo(**vars(subject.scene), radius=radius)
+        known = {each.name: getattr(subject.scene, each.name) for each in fields(subject.scene)}
+        scene = SceneUpTo(**known, radius=radius)
         inspection = Inspection(replace(subject, scene=scene))
         inspection.settings = Settings(MODES["depth"])
         depth = inspection.picture(camera).scales["depth"]

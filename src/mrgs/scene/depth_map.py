@@ -185,7 +185,7 @@ class DepthMaps:
         return all(number in self._made for number in self._near(points))
 
     def _near(self, points: Points) -> Iterator[int]:
-        if not len(points):
+        if not len(points) or not len(self.cameras):
             return
         low, high = points.min(axis=0), points.max(axis=0)
         middle, radius = (low + high) / 2, np.linalg.norm(high - low) / 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from itertools import zip_longest
 from typing import TypeAlias
 
@@ -149,7 +149,7 @@ class Scene:
             f"{modalities}, {scale}, {len(self.points):,} points)"
         )
 
-    @property
+    @cached_property
     def extent(self) -> float:
         """Radius of the training cameras about their mean, times 1.1 (3DGS's scene extent), in
         scene units; at most ``TIMES_DEPTH`` the median depth of the start points that they see, as
