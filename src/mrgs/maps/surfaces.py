@@ -4,7 +4,7 @@ camera from very far away is orthographic but for relief / distance (docs/decisi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -18,8 +18,8 @@ from mrgs.maps.crs import CoordinateSystem
 from mrgs.maps.options import MapOptions
 from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import THERMAL, Camera, Modality, PosedImage, Rendering, Scene
-from mrgs.scene.depth_map import MIN_ALPHA, DepthMap
+from mrgs.scene import THERMAL, Camera, PosedImage, Scene
+from mrgs.scene.depth_map import DepthMap
 from mrgs.scene.rotations import rigid_transform
 
 Plane: TypeAlias = Float32[np.ndarray, "h w"]
@@ -143,10 +143,10 @@ RENDERED, MEASURED = 0, 1
 def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     """Small depth maps of the thermal photos, without images: infinite where the background is
     seen, NaN where nothing is. RunError if no photo sees a surface."""
-    maps, surface = [], scene.modalities[0]
+    maps = []
     for image in scene.train_photos(THERMAL):
         camera = image.camera.with_width(min(image.camera.width, SURVEY_PX))
-        _, depth = _rendered(baked, scene, {surface: camera})
+        depth = _surface_depth(baked, scene, camera)
         maps.append(DepthMap(camera, depth, np.empty((*depth.shape, 0), np.float32)))
     if not any(np.isfinite(item.depth).any() for item in maps):
         raise RunError(NO_SURFACE)
@@ -269,24 +269,19 @@ def photo_map(baked: BakedModel, scene: Scene, image: PosedImage) -> DepthMap:
     assert scene.temperature is not None
     assert baked.temperature is not None
     camera, pixels = image.camera, image.load()
-    cameras = dict.fromkeys((scene.modalities[0], THERMAL), camera)
-    rendering, depth = _rendered(baked, scene, cameras)
-    rendered = to_array(baked.temperature.to_celsius(rendering[THERMAL].image[..., 0]))
+    thermal = baked.render({THERMAL: camera})[THERMAL].image[..., 0]
+    rendered = to_array(baked.temperature.to_celsius(thermal))
     measured = to_array(scene.temperature.to_celsius(pixels.values[..., 0]))
     if pixels.valid is not None:
         measured = np.where(pixels.valid.numpy(), measured, np.float32(np.nan))
     both = np.stack([rendered, measured], axis=2)
-    return DepthMap(camera, depth, both)
+    return DepthMap(camera, _surface_depth(baked, scene, camera), both)
 
 
-def _rendered(
-    baked: BakedModel, scene: Scene, cameras: Mapping[Modality, Camera]
-) -> tuple[Rendering, Plane]:
-    """A rendering, and the depth of the scene's first modality, infinite in the background."""
-    surface = scene.modalities[0]
-    rendering = baked.render(cameras, surface)
-    depth = rendering.surface_depth(surface, MIN_ALPHA)
-    return rendering, to_array(scene.reach.without_background(cameras[surface], depth))
+def _surface_depth(baked: BakedModel, scene: Scene, camera: Camera) -> Plane:
+    """The depth of the scene's first modality, infinite in the background."""
+    depth = baked.median_depth(scene.modalities[0], camera)
+    return to_array(scene.reach.without_background(camera, depth))
 
 
 LEAST_SHARE = 0.4
@@ -310,12 +305,13 @@ class Coverage:
     def of(cls, places: Iterable[Float64[np.ndarray, "_ 2"]], cell_m: float) -> Coverage:
         """Count photos by the map coordinates of what each shows, [N, 2], at least one place in
         all; a cell must be so wide that a photo misses none that it shows."""
-        cells = [np.unique(np.floor(each / cell_m).astype(np.int64), axis=0) for each in places]
+        cells = [np.floor(each / cell_m).astype(np.int64) for each in places]
         every = np.concatenate(cells)
         first = every.min(axis=0)
         photos = np.zeros(every.max(axis=0) - first + 1)
         for each in cells:
-            photos[tuple((each - first).T)] += 1
+            found = np.unique(np.ravel_multi_index(tuple((each - first).T), photos.shape))
+            photos.reshape(-1)[found] += 1
         smooth = ndimage.gaussian_filter(photos, SMOOTHED_CELLS, mode="constant")
         return cls(first * cell_m, cell_m, smooth / smooth.max())
 

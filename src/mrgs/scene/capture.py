@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import statistics
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple, TypeAlias
 
 import msgspec
+import torch
 from jaxtyping import Float64
 from torch import Tensor
 
@@ -34,12 +35,15 @@ class Viewpoint(NamedTuple):
         """The viewpoint of a camera in a scene of this extent."""
         return cls(tuple((camera.position / extent).tolist()), tuple(camera.forward.tolist()))
 
-    def moved(self, motion: Float64[Tensor, "4 4"], extent: float) -> Viewpoint:
-        """The viewpoint of the camera after ``Camera.moved``, by a motion in scene units."""
-        back = motion[:3, :3].T
-        position = back @ (motion.new_tensor(self.position) - motion[:3, 3] / extent)
-        forward = back @ motion.new_tensor(self.forward)
-        return Viewpoint(tuple(position.tolist()), tuple(forward.tolist()))
+
+def moved_viewpoints(
+    viewpoints: Sequence[Viewpoint], motions: Float64[Tensor, "n 4 4"], extent: float
+) -> list[Viewpoint]:
+    """The viewpoints of N cameras after ``Camera.moved``, by motions in scene units."""
+    positions, directions = motions.new_tensor(viewpoints).unbind(1)
+    positions = positions - motions[:, :3, 3] / extent
+    back = torch.stack([positions, directions], dim=1) @ motions[:, :3, :3]
+    return [Viewpoint(tuple(position), tuple(forward)) for position, forward in back.tolist()]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache, partial, reduce
+from functools import cache, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
@@ -125,8 +125,12 @@ class Rendering(Mapping[Modality, Blend]):
         """z-depth of the visible surface, scene units, [H, W], NaN where no modality shows one: of
         the first that covers the pixel, those with a unit first, whose coldest things may be
         transparent."""
-        depths = map(self.surface_depth, metric_first(self))
-        return reduce(lambda first, second: torch.where(first.isnan(), second, first), depths)
+        first, *others = metric_first(self)
+        depth = self.surface_depth(first)
+        for each in others:
+            if depth.isnan().any():
+                depth = torch.where(depth.isnan(), self.surface_depth(each), depth)
+        return depth
 
     def _median_depth(self, modality: Modality) -> Float[Tensor, "h w"] | None:
         """A median depth, found now if it was not yet; None if it was not asked for."""

@@ -19,7 +19,7 @@ from mrgs.method.camera_model.photo_shading import PhotoShading
 from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.method.camera_model.pose_refinement import PoseRefinement
 from mrgs.scene import NOT_COARSER, THERMAL, Camera, Modality, Pixels, Rendering
-from mrgs.scene.capture import Capture, Viewpoint
+from mrgs.scene.capture import Capture, Viewpoint, moved_viewpoints
 from mrgs.system.strict_yaml import MOST_RATE, require_within
 
 _RATES = ("point_spread_rate", "thermal_gain_rate", "poses_rate")
@@ -150,13 +150,13 @@ class ImageModel(nn.Module):
         effects know their photos."""
         if self.poses is None or not self.poses.moves:
             return viewpoint
-        given, motions = self._viewpoints, self.poses.all_motions()
-        known = [(each, m) for each, m in zip(given, motions, strict=True) if each is not None]
-        if not known:
+        views = [view for view, each in enumerate(self._viewpoints) if each is not None]
+        given = [each for each in self._viewpoints if each is not None]
+        if not given:
             return viewpoint
-        now = [each.moved(motion, self._extent) for each, motion in known]
+        now = moved_viewpoints(given, self.poses.all_motions()[views], self._extent)
         same = only_one_at(viewpoint_distances([viewpoint], now)[0])
-        return viewpoint if same is None else known[same][0]
+        return viewpoint if same is None else given[same]
 
     def thermal_residual(self, recorded: Rendering, photo: Pixels) -> Float[Tensor, " n"] | None:
         """How far the parts of a training view's thermal photo are above the model, for ``learn``;

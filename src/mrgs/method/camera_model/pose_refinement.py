@@ -101,10 +101,11 @@ class PoseRefinement(nn.Module):
         return as_matrix(own, self.centres.index_select(0, view)[0])
 
     @torch.no_grad()
-    def all_motions(self) -> list[Float64[Tensor, "4 4"]]:
+    def all_motions(self) -> Float64[Tensor, "v 4 4"]:
         """The motions of all training views, in the host's memory."""
         own = (self.axes @ self._free()[:, :, None]).squeeze(2)
-        return [as_matrix(*each) for each in zip(own.cpu(), self.centres.cpu(), strict=True)]
+        found: Tensor = torch.vmap(as_matrix)(own.cpu(), self.centres.cpu())
+        return found
 
     def without_global_motion(
         self, motions: Float64[Tensor, "k 6"], views: Sequence[int]
