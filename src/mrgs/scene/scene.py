@@ -191,10 +191,17 @@ class Scene:
     def survey_views(self, modality: Modality | None = None) -> tuple[View, ...]:
         """As many training views, with a photo of the modality if one is given, as are needed to
         measure what all of them show: all where they are at most 64, see ``surveying``."""
-        views = [view for view in self.train if modality is None or modality in view.images]
-        cameras = [view.images[modality].camera if modality else view.camera for view in views]
-        points = self.points.positions.numpy()
-        return tuple(views[index] for index in surveying(cameras, points))
+        if modality not in self._surveys:
+            views = [view for view in self.train if modality is None or modality in view.images]
+            cameras = [view.images[modality].camera if modality else view.camera for view in views]
+            chosen = surveying(cameras, self.points.positions.numpy())
+            self._surveys[modality] = tuple(views[index] for index in chosen)
+        return self._surveys[modality]
+
+    @cached_property
+    def _surveys(self) -> dict[Modality | None, tuple[View, ...]]:
+        """The ``survey_views`` that were asked for: a second to find among 1,000 photos."""
+        return {}
 
     @property
     def modalities(self) -> tuple[Modality, ...]:
