@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mrgs.maps.surfaces import LEAST_SHARE, Coverage, MapGrid, unprojected
+from mrgs.scene.depth_map import ENOUGH
 
 
 def square(low: float, high: float, step: float = 0.1) -> np.ndarray:
@@ -42,6 +43,16 @@ def test_a_hole_that_photos_show_badly_stays_in_the_map():
     middle = coverage.share.shape[0] // 2
     assert coverage.share[middle, middle] < LEAST_SHARE
     assert coverage.covers(np.arange(-2.5, 3, 0.5), np.arange(-2.5, 3, 0.5)).all()
+
+
+def test_a_large_capture_has_no_bays_where_few_of_the_chosen_photos_look():
+    """By so few photos as all places are chosen for, beside what many show."""
+    often, seldom = square(-3, 0), square(-3, 3)
+    coverage = Coverage.of([often] * 80 + [seldom] * ENOUGH, 0.25)
+    low, high = coverage.bounds
+    np.testing.assert_allclose([*low, *high], [-3, -3, 3, 3], atol=0.5)
+    few = Coverage.of([often] * 20 + [seldom] * ENOUGH, 0.25)
+    np.testing.assert_allclose(few.bounds[1], 0, atol=0.6)
 
 
 def test_one_place_is_a_map():

@@ -8,13 +8,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.maps.draw import BANDS, OrthographicMap
 from mrgs.maps.surfaces import MapGrid
 from mrgs.marks.measure import NARROW_HOT, NO_PHOTO
+from mrgs.marks.photo_readings import CHANNELS, READING, RENDERED, SightingSums
 from mrgs.marks.uncertainty import Budget
-from mrgs.report.modules import ModuleTable, _judged, _Seen, module_table
+from mrgs.report.modules import (
+    OF_READING,
+    ModuleTable,
+    _judged,
+    _mean_over,
+    _Seen,
+    module_table,
+)
 from mrgs.report.overview import TemperatureMap
 from mrgs.runs.open import Run
 from mrgs.scene import WorldFrame
@@ -65,6 +74,28 @@ def test_what_is_hot_has_a_name_a_class_and_a_loss(place, kelvin, finding, sever
     assert row["lost_w"] == pytest.approx(lost * 400 * 0.8)
     assert row["lost_kwh"] == pytest.approx(lost * 400)
     assert abs(row["delta_k"] - kelvin) < row["uncertainty_k"]
+
+
+def test_a_cell_is_measured_over_whole_places_and_parts_of_them():
+    values = np.random.default_rng(2).normal(0, 1, (2, 9, 8))
+    for width in (1, 3):
+        mean = ndimage.uniform_filter(values, (0, width, width), mode="nearest")
+        np.testing.assert_allclose(_mean_over(values, width), mean, atol=1e-12)
+    peak = np.zeros((1, 7, 7))
+    peak[0, 3, 3] = 1.0
+    assert _mean_over(peak, 0.6).max() == 1.0
+    assert _mean_over(peak, 1.25).max() == pytest.approx(1 / 1.25**2)
+    assert _mean_over(peak, 1.25).sum() == pytest.approx(1.0)
+
+
+def test_a_place_that_the_model_has_not_resolved_is_uncertain_by_what_the_photos_read_beside_it():
+    sums = SightingSums(2)
+    for _ in range(5):
+        values = np.zeros((2, CHANNELS), np.float32)
+        values[:, RENDERED], values[:, READING] = 40.0, (40.0, 46.0)
+        sums.add(np.arange(2), values, np.ones(2, np.float32))
+    np.testing.assert_allclose(sums.readings, [40.0, 46.0])
+    np.testing.assert_allclose(sums.parts(OF_READING, sums.rendered).total, [0.0, 6.0], atol=1e-6)
 
 
 def test_several_cells_and_thirds_are_told_together():

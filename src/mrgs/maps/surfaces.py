@@ -19,7 +19,7 @@ from mrgs.maps.options import MapOptions
 from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, PosedImage, Scene
-from mrgs.scene.depth_map import DepthMap
+from mrgs.scene.depth_map import ALWAYS, ENOUGH, DepthMap
 from mrgs.scene.rotations import rigid_transform
 
 Plane: TypeAlias = Float32[np.ndarray, "h w"]
@@ -286,7 +286,8 @@ def _surface_depth(baked: BakedModel, scene: Scene, camera: Camera) -> Plane:
 
 LEAST_SHARE = 0.4
 """A place belongs to a map if at least this share of as many photos show it as show the place that
-most do. Beyond, a few photos show it from the side, and the map would end in rags."""
+most do, or of ``ENOUGH`` where the photos are chosen by it. Beyond, a few photos show it from the
+side, and the map would end in rags."""
 
 SMOOTHED_CELLS = 1.5
 """Standard deviation of the filter over the numbers of photos, in cells."""
@@ -313,7 +314,9 @@ class Coverage:
             found = np.unique(np.ravel_multi_index(tuple((each - first).T), photos.shape))
             photos.reshape(-1)[found] += 1
         smooth = ndimage.gaussian_filter(photos, SMOOTHED_CELLS, mode="constant")
-        return cls(first * cell_m, cell_m, smooth / smooth.max())
+        # Of a large capture, the photos are chosen so that most places are shown by few.
+        usual = min(smooth.max(), ENOUGH) if len(cells) > ALWAYS else smooth.max()
+        return cls(first * cell_m, cell_m, smooth / usual)
 
     @property
     def bounds(self) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:

@@ -153,6 +153,11 @@ class SightingSums:
         """What the photos' cameras see in the model; NaN where none looks."""
         return np.where(self.photos > 0, self._rendered, np.float32(np.nan))
 
+    @property
+    def readings(self) -> Float32[np.ndarray, " p"]:
+        """What the photos read, as ``PhotoReadings`` has it; NaN where none looks."""
+        return np.where(self.photos > 0, self._readings, np.float32(np.nan))
+
     def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
         """The parts of the uncertainty; ``values`` of the places where their deviation counts."""
         seen = np.where(self.photos > 0, np.float32(1), np.float32(np.nan))

@@ -56,6 +56,12 @@ EDGE_M, CELLS, SLACK_M = 0.07, 6, 2.0
 """The frame, and what blur mixes with it; cells along the shorter side of a module; and how far
 from its plane a model may show glass, which has no texture."""
 
+SHOWN = 0.4
+"""Share of a cell's width over which it is measured: the rest is mixed with its neighbours."""
+
+OF_READING = OF_POINT._replace(deviation=1.0)
+"""Photos that differ from the model show that it has not resolved the place."""
+
 LEAST_CELL_K, LEAST_PART_K = 3.0, 2.0
 """Smallest ΔT of a hot cell beside its third, and of a third or a module beside the neighbours."""
 
@@ -229,9 +235,9 @@ def module_table(
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What photos show on M modules, [M, L, S], along their longer and their shorter sides without
-    the frame: °C as their cameras see them in the model, NaN where none looks, and uncertainty, K;
-    how many photos look; and the distance of two places, metres."""
+    """What photos read on M modules, [M, L, S], along their longer and their shorter sides without
+    the frame: °C without the camera's blur and drift as far as the model knows them, NaN where none
+    looks, and uncertainty, K; how many photos look; and the distance of two places, metres."""
 
     celsius: Float64[np.ndarray, "m l s"]
     around: Float64[np.ndarray, "m l s"]
@@ -264,10 +270,10 @@ class _Seen:
                 photo = readings.witness(view, camera.width)
                 rows, pixels, z = photo.shown(points[near].reshape(-1, 3), 0.0, SLACK_M)
                 sums.add(near[rows // size] * size + rows % size, photo.image[pixels], z)
-        shape, total = points.shape[:3], sums.parts(OF_POINT).total
+        shape, total = points.shape[:3], sums.parts(OF_READING, sums.rendered).total
         photos = np.median(sums.photos.reshape(len(points), -1), axis=1)
-        around = total.reshape(shape).astype(np.float64)
-        return cls(sums.rendered.reshape(shape).astype(np.float64), around, photos, float(step))
+        celsius, around = (each.reshape(shape).astype(float) for each in (sums.readings, total))
+        return cls(celsius, around, photos, float(step))
 
 
 def _beside(whole: Values, numbers: Int64[np.ndarray, "m 3"]) -> tuple[Values, Values]:
@@ -304,8 +310,7 @@ def _judged(
     usual = np.repeat(thirds, [each.shape[2] for each in parts], axis=1)[:, None]
     usual = ndimage.maximum_filter1d(usual, 5, axis=2)  # the edge of a hot third is no cell
     excess = np.nan_to_num(seen.celsius - usual)
-    window = max(int(seen.celsius.shape[2] / CELLS / 2), 1)
-    smooth = ndimage.uniform_filter(excess, (0, window, window), mode="nearest")
+    smooth = _mean_over(excess, SHOWN * seen.celsius.shape[2] / CELLS)
     known = np.isfinite(seen.celsius).mean(axis=(1, 2)) > 0.5
     watts = kwh = None
     if irradiance is not None and power_w is not None:
@@ -343,6 +348,16 @@ def _judged(
         if not known[n] or math.isnan(delta):
             row |= dict.fromkeys(NUMBERS) | {"finding": "", "class": None, "remark": NO_PHOTO}
         yield {name: None if value != value else value for name, value in row.items()}
+
+
+def _mean_over(values: Float64[np.ndarray, "m l s"], width: float) -> Float64[np.ndarray, "m l s"]:
+    """Means over squares of so many places, at least one, and parts of places."""
+    width = max(width, 1.0)
+    reach = math.ceil((width - 1) / 2)
+    weights = ((width + 1) / 2 - np.abs(np.arange(-reach, reach + 1))).clip(0, 1) / width
+    for axis in (1, 2):
+        values = ndimage.correlate1d(values, weights, axis, mode="nearest")
+    return values
 
 
 def _of_difference(budget: Budget, celsius: float, beside: float) -> float:
