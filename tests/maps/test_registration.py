@@ -10,7 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mrgs.maps.registration import FEWEST_MATCHES, _Features, _fitted, _pairs, require_pycolmap
+from mrgs.data.earth import geodetic
+from mrgs.maps.registration import (
+    FEWEST_MATCHES,
+    GPS_M,
+    _Features,
+    _fitted,
+    _pairs,
+    _shift_by_gps,
+    require_pycolmap,
+)
+from mrgs.scene import EarthPosition, WorldFrame
 
 COUNT = 600
 
@@ -76,3 +86,31 @@ def test_features_are_matched_where_they_are_alike():
     )  # fmt: skip
     assert len(source) == 38
     np.testing.assert_allclose(target, 10 + source)
+
+
+def test_where_gps_tells_the_place_what_looks_alike_elsewhere_is_no_pair():
+    rng = np.random.default_rng(3)
+    features = rng.normal(0, 1, (60, 128)).astype(np.float32)
+    features /= np.linalg.norm(features, axis=1, keepdims=True)
+    places = rng.uniform(0, 5, (60, 3))
+    here, there = (
+        _Features(features, places),
+        _Features(features, places + np.array([GPS_M + 6, 0, 0])),
+    )
+    assert len(_pairs([here], [here, there])[0]) == 120
+    moved, shift = np.array([2.0, -1.0, 0.0]), np.array([2.0, -1.0, 40.0])  # by barometer
+    after = [each._replace(points=each.points + moved) for each in (here, there)]
+    source, target = _pairs([here], after, shift)
+    assert len(source) == 60
+    np.testing.assert_allclose(target, source + moved)
+
+
+def test_gps_tells_where_one_scene_is_in_the_other():
+    def scene_of(origin):
+        return SimpleNamespace(world=WorldFrame(True, origin is not None, origin))
+
+    here = EarthPosition(48.137, 11.575, 520.0)
+    east = geodetic(np.array([30.0, 0.0, 2.0]), here)
+    first, second = scene_of(here), scene_of(east)
+    np.testing.assert_allclose(_shift_by_gps(first, second), [-30.0, 0.0, -2.0], atol=1e-3)
+    assert _shift_by_gps(first, scene_of(None)) is None

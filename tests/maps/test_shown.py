@@ -77,10 +77,14 @@ def test_a_cell_has_the_median_of_its_depths():
     camera = Camera.from_fov(4, 4, 90)
     places = torch.tensor([[1.0, 1.0], [1.5, 1.5], [0.5, 1.0], [3.0, 1.0], [3.0, 1.2]]).double()
     points = camera.unproject(places, torch.tensor([9.0, 2.0, 3.0, 5.0, 5.0]).double()).numpy()
-    found = _depth_of_cells(camera, points, 2)
+    wanted = np.zeros((4, 4), bool)
+    wanted[1, [0, 3]] = wanted[3, 1] = True
+    found = _depth_of_cells(camera, np.split(points, [2]), 2, wanted)
     np.testing.assert_allclose(found[:2, :2], 3.0)
     assert np.isnan(found[:, 2:]).all()  # of two points no surface is made
     assert np.isnan(found[2:]).all()
+    wanted[1, 0] = False
+    assert np.isnan(_depth_of_cells(camera, [points], 2, wanted)).all()
 
 
 def test_the_camera_of_a_part_sees_the_part_s_pixels():

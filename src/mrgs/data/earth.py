@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float64
@@ -33,7 +33,10 @@ _ITERATIONS = 6
 """Each gains two digits or more; below 1 nm on the ground."""
 
 
-def ecef(position: GpsPosition | EarthPosition) -> Float64[np.ndarray, "3"]:
+Position: TypeAlias = GpsPosition | EarthPosition
+
+
+def ecef(position: Position) -> Float64[np.ndarray, "3"]:
     """Earth-centred coordinates (ECEF) [3], metres; an unknown height counts as 0."""
     latitude, longitude = np.radians([position.latitude_deg, position.longitude_deg])
     height_m = position.altitude_m or 0.0
@@ -43,15 +46,13 @@ def ecef(position: GpsPosition | EarthPosition) -> Float64[np.ndarray, "3"]:
     return np.array([across * np.cos(longitude), across * np.sin(longitude), along_axis])
 
 
-def enu(positions: Sequence[GpsPosition], origin: GpsPosition) -> Float64[np.ndarray, "n 3"]:
+def enu(positions: Sequence[Position], origin: Position) -> Float64[np.ndarray, "n 3"]:
     """Positions in metres east, north and up of ``origin`` [N, 3]."""
     offsets = np.array([ecef(position) for position in positions]) - ecef(origin)
     return np.einsum("ij,nj->ni", _axes(origin), offsets)
 
 
-def geodetic(
-    offset_m: Float64[np.ndarray, "3"], origin: GpsPosition | EarthPosition
-) -> EarthPosition:
+def geodetic(offset_m: Float64[np.ndarray, "3"], origin: Position) -> EarthPosition:
     """The position at an offset of metres east, north and up from another; undoes ``enu``."""
     x, y, z = ecef(origin) + _axes(origin).T @ offset_m
     across, height_m = np.hypot(x, y), 0.0
@@ -65,7 +66,7 @@ def geodetic(
     return EarthPosition(float(np.degrees(latitude)), float(np.degrees(longitude)), float(height_m))
 
 
-def _axes(origin: GpsPosition | EarthPosition) -> Float64[np.ndarray, "3 3"]:
+def _axes(origin: Position) -> Float64[np.ndarray, "3 3"]:
     """Unit vectors to the east, to the north and up at a position, in ECEF; rows."""
     latitude, longitude = np.radians([origin.latitude_deg, origin.longitude_deg])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])

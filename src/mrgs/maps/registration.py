@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from jaxtyping import Float32, Float64
 
+from mrgs.data.earth import enu
 from mrgs.errors import RunError
 from mrgs.maps.surfaces import median_distance
 from mrgs.pictures.files import to_array
@@ -54,6 +55,9 @@ LEAST_OVERLAP = 0.05
 MOST_METRES = 0.1
 """If both runs are in metres these may differ by this share."""
 
+GPS_M = 10.0
+"""The GPS of two dates may contradict each other by so much, east and north, metres."""
+
 require_pycolmap = partial(optional_package, "pycolmap", "comparisons of two dates", "sfm")
 
 
@@ -88,7 +92,7 @@ def register(first: Run, second: Run, scenes: tuple[Scene, Scene]) -> Registrati
     extractor = _extractor(pycolmap)
     before, maps = _features(first, scenes[0], extractor, 0)
     after, others = _features(second, scenes[1], extractor, 1)
-    source, target = _pairs(before, after)
+    source, target = _pairs(before, after, _shift_by_gps(*scenes))
     fitted = _fitted(pycolmap, source, target, TOLERANCE * median_distance(others))
     if fitted is None:
         raise RunError(
@@ -150,8 +154,23 @@ def _features(
     return features, maps
 
 
-def _pairs(before: Sequence[_Features], after: Sequence[_Features]) -> tuple[Points, Points]:
-    """Points of the first run and of the second whose features match each other best."""
+def _shift_by_gps(first: Scene, second: Scene) -> Float64[np.ndarray, "3"] | None:
+    """From the first scene's coordinates to the second's, metres east, north and up; None where
+    GPS does not tell."""
+    origin, other = first.world.origin, second.world.origin
+    if origin is None or other is None:
+        return None
+    georeferenced = first.world.is_georeferenced and second.world.is_georeferenced
+    return enu([origin], other)[0] if georeferenced else None
+
+
+def _pairs(
+    before: Sequence[_Features],
+    after: Sequence[_Features],
+    shift: Float64[np.ndarray, "3"] | None = None,
+) -> tuple[Points, Points]:
+    """Points of the first run and of the second whose features match each other best; where the
+    ``shift`` by GPS is known, of one place: modules of a plant look alike everywhere."""
     sources, targets = [np.empty((0, 3))], [np.empty((0, 3))]
     for one in before:
         for other in after:
@@ -166,6 +185,9 @@ def _pairs(before: Sequence[_Features], after: Sequence[_Features]) -> tuple[Poi
             # Distances of unit vectors: |a − b|² = 2 − 2 a·b.
             clear = 2 - 2 * best < RATIO**2 * (2 - 2 * similar.max(axis=1))
             kept = mutual & clear
+            if shift is not None:
+                away = other.points[nearest] - one.points - shift
+                kept &= np.linalg.norm(away[:, :2], axis=1) < GPS_M
             if kept.sum() >= FEWEST_OF_PAIR:
                 sources.append(one.points[kept])
                 targets.append(other.points[nearest[kept]])

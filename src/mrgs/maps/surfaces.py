@@ -4,13 +4,13 @@ camera from very far away is orthographic but for relief / distance (docs/decisi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, Int64
 from scipy import ndimage
 
 from mrgs.errors import ConfigError, RunError
@@ -306,13 +306,12 @@ class Coverage:
     def of(cls, places: Iterable[Float64[np.ndarray, "_ 2"]], cell_m: float) -> Coverage:
         """Count photos by the map coordinates of what each shows, [N, 2], at least one place in
         all; a cell must be so wide that a photo misses none that it shows."""
-        cells = [np.floor(each / cell_m).astype(np.int64) for each in places]
+        cells = [_once(np.floor(each / cell_m).astype(np.int64)) for each in places if len(each)]
         every = np.concatenate(cells)
         first = every.min(axis=0)
         photos = np.zeros(every.max(axis=0) - first + 1)
         for each in cells:
-            found = np.unique(np.ravel_multi_index(tuple((each - first).T), photos.shape))
-            photos.reshape(-1)[found] += 1
+            photos[tuple((each - first).T)] += 1
         smooth = ndimage.gaussian_filter(photos, SMOOTHED_CELLS, mode="constant")
         # Of a large capture, the photos are chosen so that most places are shown by few.
         usual = min(smooth.max(), ENOUGH) if len(cells) > ALWAYS else smooth.max()
@@ -338,6 +337,13 @@ class Coverage:
         return covered
 
 
+def _once(cells: Int64[np.ndarray, "n 2"]) -> Int64[np.ndarray, "k 2"]:
+    """Each cell once."""
+    first, shape = cells.min(axis=0), np.ptp(cells, axis=0) + 1
+    numbers = np.unique(np.ravel_multi_index(tuple((cells - first).T), shape))
+    return first + np.stack(np.unravel_index(numbers, shape), axis=1)
+
+
 TIMES_MEDIAN = 2.5
 """The map shows surfaces within this multiple of the photos' median distance: others are coarse."""
 
@@ -357,12 +363,18 @@ def grid_from_above(
     if the vertical is not known."""
     axes, scale, offset = _plan_view(system, vertical(scene))
     limit = TIMES_MEDIAN * median_distance(maps)
-    near = [replace(item, depth=np.where(item.depth < limit, item.depth, np.inf)) for item in maps]
-    points = [item.points() for item in near]
-    places = [scale * each @ axes[:2].T + offset for each in points]
-    coverage = Coverage.of(places, CELL_PX * scale * survey_pixel(maps))
-    heights = np.concatenate([each @ axes[2] for each in points])
-    slab = float(heights.min()), float(heights.max())
+    heights: list[float] = []
+
+    def places() -> Iterator[Float64[np.ndarray, "_ 2"]]:
+        """What each photo shows; together it would take gigabytes."""
+        for item in maps:
+            near = replace(item, depth=np.where(item.depth < limit, item.depth, np.inf))
+            points = near.points()
+            heights.extend(np.quantile(points @ axes[2], (0, 1)) if len(points) else ())
+            yield scale * points @ axes[:2].T + offset
+
+    coverage = Coverage.of(places(), CELL_PX * scale * survey_pixel(maps))
+    slab = min(heights), max(heights)
     low, high = coverage.bounds
     pixel_m = pixel_size_m(scene, maps, options, high - low, most_px)
     # The edges are multiples of the pixel size, as GIS expect of neighbouring maps.
@@ -419,10 +431,9 @@ class ShownPlaces:
             places = np.flatnonzero(unknown)
             rows = item.shown(points[there][unknown]).rows
             found[there][np.unravel_index(places[rows], unknown.shape)] = True
-        others = [item.points() for item, _ in near] if not found.all() else []
-        seen = np.concatenate([np.empty((0, 3)), *others])
-        seen = seen[self._grid.inside(seen)]
-        return np.where(found, depth, _depth_of_cells(camera, seen, self._cell_px))
+        every = (item.points() for item, _ in near)
+        inside = (points[self._grid.inside(points)] for points in every)
+        return np.where(found, depth, _depth_of_cells(camera, inside, self._cell_px, ~found))
 
 
 def _within(span: slice, part: slice) -> slice:
@@ -431,18 +442,31 @@ def _within(span: slice, part: slice) -> slice:
     return slice(low - part.start, high - part.start)
 
 
-def _depth_of_cells(camera: Camera, points: Float64[np.ndarray, "n 3"], cell_px: int) -> Plane:
-    """The median depth of the points in square cells of an image, in all of their pixels; NaN in
-    cells with fewer than ``LEAST_POINTS``."""
-    pixels, z = camera.project(torch.from_numpy(points))
-    inside = camera.contains(pixels)
-    columns, rows = (pixels[inside] / cell_px).long().unbind(dim=1)
+def _depth_of_cells(
+    camera: Camera,
+    points: Iterable[Float64[np.ndarray, "_ 3"]],
+    cell_px: int,
+    wanted: Bool[np.ndarray, "h w"],
+) -> Plane:
+    """The median depth of the points of all photos in square cells of an image, in all of their
+    pixels; NaN in cells with fewer than ``LEAST_POINTS``, or without a wanted pixel."""
     across, down = (-(-size // cell_px) for size in (camera.width, camera.height))
-    cells, depths = (rows * across + columns).numpy(), z[inside].numpy()
+    rows, columns = np.nonzero(wanted)
+    lacking = np.zeros(across * down, bool)
+    lacking[rows // cell_px * across + columns // cell_px] = True
+    found, z = [np.empty(0, np.int64)], [np.empty(0)]
+    for each in points if len(rows) else ():
+        pixels, depth = camera.project(torch.from_numpy(each))
+        inside = camera.contains(pixels)
+        column, row = (pixels[inside] / cell_px).long().unbind(dim=1)
+        numbers = (row * across + column).numpy()
+        found.append(numbers[lacking[numbers]])
+        z.append(depth[inside].numpy()[lacking[numbers]])
+    cells, depths = np.concatenate(found), np.concatenate(z)
     order = np.lexsort([depths, cells])
     taken, first, count = np.unique(cells[order], return_index=True, return_counts=True)
     many = count >= LEAST_POINTS
-    found = np.full(across * down, np.nan, np.float32)
-    found[taken[many]] = depths[order][(first + count // 2)[many]]
-    whole = found.reshape(down, across).repeat(cell_px, axis=0).repeat(cell_px, axis=1)
+    medians = np.full(across * down, np.nan, np.float32)
+    medians[taken[many]] = depths[order][(first + count // 2)[many]]
+    whole = medians.reshape(down, across).repeat(cell_px, axis=0).repeat(cell_px, axis=1)
     return whole[: camera.height, : camera.width]
