@@ -45,14 +45,12 @@ def test_a_hole_that_photos_show_badly_stays_in_the_map():
     assert coverage.covers(np.arange(-2.5, 3, 0.5), np.arange(-2.5, 3, 0.5)).all()
 
 
-def test_a_large_capture_has_no_bays_where_few_of_the_chosen_photos_look():
+def test_a_map_by_chosen_photos_has_no_bays_where_few_of_them_look():
     """By so few photos as all places are chosen for, beside what many show."""
-    often, seldom = square(-3, 0), square(-3, 3)
-    coverage = Coverage.of([often] * 80 + [seldom] * ENOUGH, 0.25)
-    low, high = coverage.bounds
+    photos = [square(-3, 0)] * 20 + [square(-3, 3)] * ENOUGH
+    low, high = Coverage.of(photos, 0.25, ENOUGH).bounds
     np.testing.assert_allclose([*low, *high], [-3, -3, 3, 3], atol=0.5)
-    few = Coverage.of([often] * 20 + [seldom] * ENOUGH, 0.25)
-    np.testing.assert_allclose(few.bounds[1], 0, atol=0.6)
+    np.testing.assert_allclose(Coverage.of(photos, 0.25).bounds[1], 0, atol=0.6)
 
 
 def test_one_place_is_a_map():

@@ -19,7 +19,7 @@ from mrgs.maps.options import MapOptions
 from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, PosedImage, Scene
-from mrgs.scene.depth_map import ALWAYS, ENOUGH, DepthMap
+from mrgs.scene.depth_map import DepthMap
 from mrgs.scene.rotations import rigid_transform
 
 Plane: TypeAlias = Float32[np.ndarray, "h w"]
@@ -286,8 +286,7 @@ def _surface_depth(baked: BakedModel, scene: Scene, camera: Camera) -> Plane:
 
 LEAST_SHARE = 0.4
 """A place belongs to a map if at least this share of as many photos show it as show the place that
-most do, or of ``ENOUGH`` where the photos are chosen by it. Beyond, a few photos show it from the
-side, and the map would end in rags."""
+most do. Beyond, a few photos show it from the side, and the map would end in rags."""
 
 SMOOTHED_CELLS = 1.5
 """Standard deviation of the filter over the numbers of photos, in cells."""
@@ -295,7 +294,7 @@ SMOOTHED_CELLS = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """How many photos show the places of a map, as a share of the most that show any, in square
+    """How many photos show the places of a map, as a share of the most that count, in square
     cells of ``cell_m`` map metres from the map coordinates ``low`` on."""
 
     low: Float64[np.ndarray, "2"]
@@ -303,9 +302,15 @@ class Coverage:
     share: Float64[np.ndarray, "u v"]
 
     @classmethod
-    def of(cls, places: Iterable[Float64[np.ndarray, "_ 2"]], cell_m: float) -> Coverage:
+    def of(
+        cls,
+        places: Iterable[Float64[np.ndarray, "_ 2"]],
+        cell_m: float,
+        enough: float = math.inf,
+    ) -> Coverage:
         """Count photos by the map coordinates of what each shows, [N, 2], at least one place in
-        all; a cell must be so wide that a photo misses none that it shows."""
+        all; a cell must be so wide that a photo misses none that it shows. Of photos that were
+        chosen so that ``enough`` show each place, more do not count."""
         cells = [_once(np.floor(each / cell_m).astype(np.int64)) for each in places if len(each)]
         every = np.concatenate(cells)
         first = every.min(axis=0)
@@ -313,9 +318,7 @@ class Coverage:
         for each in cells:
             photos[tuple((each - first).T)] += 1
         smooth = ndimage.gaussian_filter(photos, SMOOTHED_CELLS, mode="constant")
-        # Of a large capture, the photos are chosen so that most places are shown by few.
-        usual = min(smooth.max(), ENOUGH) if len(cells) > ALWAYS else smooth.max()
-        return cls(first * cell_m, cell_m, smooth / usual)
+        return cls(first * cell_m, cell_m, smooth / min(smooth.max(), enough))
 
     @property
     def bounds(self) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
@@ -357,10 +360,11 @@ def grid_from_above(
     system: CoordinateSystem,
     options: MapOptions,
     most_px: int | None = None,
+    enough: float = math.inf,
 ) -> tuple[MapGrid, Coverage]:
     """The pixels of the map of a scene from above, in the coordinates of ``system``, by a
-    ``survey``, and what enough photos show of it; for the others see ``facade_grid``. ConfigError
-    if the vertical is not known."""
+    ``survey``, and what enough photos show of it (``Coverage.of``); for the others see
+    ``facade_grid``. ConfigError if the vertical is not known."""
     axes, scale, offset = _plan_view(system, vertical(scene))
     limit = TIMES_MEDIAN * median_distance(maps)
     heights: list[float] = []
@@ -370,10 +374,11 @@ def grid_from_above(
         for item in maps:
             near = replace(item, depth=np.where(item.depth < limit, item.depth, np.inf))
             points = near.points()
-            heights.extend(np.quantile(points @ axes[2], (0, 1)) if len(points) else ())
+            along = points @ axes[2]
+            heights.extend((float(along.min()), float(along.max())) if len(points) else ())
             yield scale * points @ axes[:2].T + offset
 
-    coverage = Coverage.of(places(), CELL_PX * scale * survey_pixel(maps))
+    coverage = Coverage.of(places(), CELL_PX * scale * survey_pixel(maps), enough)
     slab = min(heights), max(heights)
     low, high = coverage.bounds
     pixel_m = pixel_size_m(scene, maps, options, high - low, most_px)

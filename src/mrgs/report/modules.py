@@ -38,7 +38,7 @@ from mrgs.report.texts import Language, Texts
 from mrgs.runs.baked import bake
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
-from mrgs.scene.depth_map import visible
+from mrgs.scene.depth_map import ENOUGH, visible
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
 Values: TypeAlias = Float64[np.ndarray, " m"]
@@ -203,7 +203,8 @@ def module_table(
         raise RunError(
             f"the photos of {scene.name} do not look down: photograph a plant from above"
         )
-    scene = replace(scene, train=scene.survey_views(THERMAL))
+    every, scene = scene, replace(scene, train=scene.survey_views(THERMAL))
+    enough = ENOUGH if len(scene.train) < len(every.train_photos(THERMAL)) else math.inf
     baked = bake(run.model, scene.train_cameras, run.temperature, run.device)
     maps = survey(baked, scene)
     focal = np.median([photo.camera.focal_px for photo in scene.train_photos(THERMAL)])
@@ -214,7 +215,7 @@ def module_table(
             f"photograph the plant from nearer"
         )
     options = MapOptions(pixel_size_m=max(pixel, FINEST * least))
-    grid, coverage = grid_from_above(scene, maps, LOCAL, options)
+    grid, coverage = grid_from_above(scene, maps, LOCAL, options, enough=enough)
     drawn = draw_map(baked, scene, maps, grid, None, coverage)
     found = find_modules(
         drawn.celsius, drawn.bands[1:4], drawn.points @ grid.axes[2].astype(np.float32),
