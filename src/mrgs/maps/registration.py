@@ -157,11 +157,9 @@ def _features(
 def _shift_by_gps(first: Scene, second: Scene) -> Float64[np.ndarray, "3"] | None:
     """From the first scene's coordinates to the second's, metres east, north and up; None where
     GPS does not tell."""
-    origin, other = first.world.origin, second.world.origin
-    if origin is None or other is None:
-        return None
-    georeferenced = first.world.is_georeferenced and second.world.is_georeferenced
-    return enu([origin], other)[0] if georeferenced else None
+    worlds = first.world, second.world
+    origin, other = (each.origin if each.is_georeferenced else None for each in worlds)
+    return None if origin is None or other is None else enu([origin], other)[0]
 
 
 def _pairs(
