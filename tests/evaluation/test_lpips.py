@@ -46,6 +46,11 @@ def test_layer_shapes(weights: dict[str, Tensor]) -> None:
     assert [tuple(layer.shape) for layer in layers] == expected
 
 
+def test_the_network_runs_where_the_images_are(weights: dict[str, Tensor]) -> None:
+    layers = Lpips(weights).features(random_image(0).to("meta"))
+    assert {layer.device.type for layer in layers} == {"meta"}
+
+
 def test_distance_is_zero_for_identical_images_and_grows_with_noise(weights_file: Path) -> None:
     lpips = Lpips.from_file(weights_file)
     image = random_image(0)

@@ -59,8 +59,8 @@ def wall(y: float = 0.0) -> SurfaceRenderer:
 
 
 def shown_in(made: Scene, marks: dict[str, Mark], render: SurfaceRenderer) -> list[Overview]:
-    cameras = [view.images[THERMAL].camera for view in made.survey_views(THERMAL)]
-    return overviews(made, marks, PhotoSurvey(render, cameras), render)
+    survey = PhotoSurvey(render, made.survey_cameras(THERMAL))
+    return overviews(made, marks, survey, render)
 
 
 def spots(**places: float) -> dict[str, Mark]:

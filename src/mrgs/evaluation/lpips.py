@@ -22,6 +22,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from mrgs.errors import RunError, warn_user
+from mrgs.system.torch_modes import own_modes
 
 _BLOCKS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28))
 """Indices of the convolutions in VGG-16's ``features``; a max pooling stands between blocks, and
@@ -38,7 +39,8 @@ MIN_SIDE_PX = 16
 
 
 class Lpips:
-    """The distance between two images; 0 for identical ones, about 0.1 to 0.5 for renderings."""
+    """The distance between two images; 0 for identical ones, about 0.1 to 0.5 for renderings. The
+    network runs where the images are."""
 
     def __init__(self, weights: dict[str, Tensor]) -> None:
         self._weights = weights
@@ -91,17 +93,20 @@ class Lpips:
         """Distance of two images in [0, 1] (mapped to [-1, 1] here); one channel is shown to VGG as
         grey. No side may be shorter than ``MIN_SIDE_PX``."""
         distance = 0.0
-        pairs = zip(self.features(image), self.features(target), strict=True)
-        for layer, (one, other) in enumerate(pairs):
-            difference = (_unit(one) - _unit(other)).square()
-            weighted = functional.conv2d(difference, self._weights[f"lin{layer}.model.1.weight"])
-            distance += weighted.mean().item()
+        with own_modes(image.device):  # full precision on a GPU too
+            pairs = zip(self.features(image), self.features(target), strict=True)
+            for layer, (one, other) in enumerate(pairs):
+                difference = (_unit(one) - _unit(other)).square()
+                head = self._weights[f"lin{layer}.model.1.weight"]
+                distance += functional.conv2d(difference, head).mean().item()
         return distance
 
     def features(self, image: Float[Tensor, "h w c"]) -> list[Float[Tensor, "1 _ _ _"]]:
         """The five layers' activations, [1, C, H / 2^layer, W / 2^layer]."""
-        device = self._weights["features.0.weight"].device
-        x = image.to(device, torch.float32).expand(-1, -1, 3).permute(2, 0, 1)[None] * 2 - 1
+        device = image.device
+        if self._weights["features.0.weight"].device != device:
+            self._weights = {name: each.to(device) for name, each in self._weights.items()}
+        x = image.to(torch.float32).expand(-1, -1, 3).permute(2, 0, 1)[None] * 2 - 1
         shift, scale = torch.tensor([_SHIFT, _SCALE], device=device).view(2, 1, 3, 1, 1)
         x = (x - shift) / scale
         layers = []

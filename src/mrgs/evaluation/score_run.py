@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -36,7 +36,16 @@ from mrgs.pictures.video import VIDEO_FPS, frame_writer
 from mrgs.render import bake_temperature_residuals
 from mrgs.run_files.folder import Pictures
 from mrgs.runs.open import Run, TrainedRun
-from mrgs.scene import CameraResponse, Modality, Rendering, Scene, View, ideal_cameras
+from mrgs.scene import (
+    NOT_COARSER,
+    Camera,
+    CameraResponse,
+    Modality,
+    Rendering,
+    Scene,
+    View,
+    ideal_cameras,
+)
 from mrgs.scene.camera import orbit
 from mrgs.system.gpu import HOST
 from mrgs.system.memory import give_back_freed
@@ -99,12 +108,24 @@ def evaluate_run(
         run.folder.path / "eval",
         lpips_weights,
         counted.one_more,
-        run.camera_response,
+        partial(_response_where_rendered, run),
         parts,
         ScoredData.of(scene, run.facts.images),
         pose_error_px,
         aligned,
     )
+
+
+def _response_where_rendered(
+    run: TrainedRun,
+    rendering: Rendering,
+    camera: Camera,
+    pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
+) -> Rendering:
+    """The run's camera response, its images on the device that renders, where they are scored."""
+    observed = run.camera_response(rendering, camera, pixel_sizes)
+    device = run.device if isinstance(run, Run) else HOST
+    return observed.with_images({each: blend.image.to(device) for each, blend in observed.items()})
 
 
 class Counted:

@@ -23,7 +23,6 @@ from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, Scene
 from mrgs.scene.depth_map import (
     MAX_STEP,
-    MIN_ALPHA,
     SURFACE_DEPTH,
     DepthMap,
     carry_over,
@@ -42,7 +41,7 @@ def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     maps, surface = [], scene.modalities[0]
     for camera in (reduced(view.camera) for view in scene.survey_views()):
         rendering = baked.render(camera, surface)
-        depth = rendering.surface_depth(surface, MIN_ALPHA, MAX_STEP)
+        depth = rendering.surface_depth(surface, max_step=MAX_STEP)
         distant = to_array(scene.reach.without_background(camera, depth))
         images = [
             to_array(in_unit(modality, blend.image, baked.temperature))

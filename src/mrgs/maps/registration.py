@@ -23,7 +23,7 @@ from mrgs.maps.surfaces import median_distance
 from mrgs.pictures.files import to_array
 from mrgs.runs.open import Run
 from mrgs.scene import Scene
-from mrgs.scene.depth_map import MAX_STEP, MIN_ALPHA, DepthMap, surveying, visible
+from mrgs.scene.depth_map import MAX_STEP, DepthMap, surveying, visible
 from mrgs.scene.similarity import Similarity
 from mrgs.system.lazy import optional_package
 
@@ -142,7 +142,7 @@ def _features(
         found = np.array([(each.x, each.y) for each in keypoints]).reshape(-1, 2)
         descriptors = described.data.astype(np.float32)
         descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
-        surface = run.render({modality: camera}).surface_depth(modality, MIN_ALPHA, MAX_STEP)
+        surface = run.render({modality: camera}).surface_depth(modality, max_step=MAX_STEP)
         depth = to_array(scene.reach.without_background(camera, surface))
         column, row = np.minimum(found.astype(int), (size[1] - 1, size[0] - 1)).T
         pixels = torch.from_numpy(found)

@@ -59,7 +59,7 @@ class RunMarks:
         self.meter = MarkMeter(
             before_background(run.render, None if scene is None else scene.reach),
             run.temperature,
-            surveyed_cameras(scene),
+            [] if scene is None else scene.survey_cameras(THERMAL),
             CaptureSettings.of(scene),
             uncertainty,
         )
@@ -203,12 +203,6 @@ class RunMarks:
     def measure_proposals(self) -> list[MarkReading]:
         """Measure the proposals of the report, in the same way."""
         return self.meter.measure(Marks(self.marks.proposals), self._regions)
-
-
-def surveyed_cameras(scene: Scene | None) -> list[Camera]:
-    """Cameras of a scene's thermal training photos, enough for every place."""
-    views = () if scene is None else scene.survey_views(THERMAL)
-    return [view.images[THERMAL].camera for view in views]
 
 
 def open_marks(run: Run, scene: Scene | None = None) -> RunMarks:

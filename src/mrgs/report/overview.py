@@ -334,8 +334,7 @@ def overviews(
     the view that shows most of the scene. SceneError if a photo cannot be read."""
     thermal = scene.survey_views(THERMAL)
     if not marks and thermal and len(scene.points.positions):
-        cameras = [view.images[THERMAL].camera for view in thermal]
-        view = thermal[best_view(cameras, scene.points.positions)]
+        view = thermal[best_view(scene.survey_cameras(THERMAL), scene.points.positions)]
         return [overview(view, {}, scene, render, style)]
     names = np.array([*marks])
     middles = np.array([np.mean(mark.points, axis=0) for mark in marks.values()], np.float32)

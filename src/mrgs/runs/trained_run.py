@@ -28,7 +28,8 @@ from mrgs.scene import (
     View,
 )
 from mrgs.scene.arrays import as_tensor
-from mrgs.scene.depth_map import MIN_ALPHA, PhotoSurvey, before_background
+from mrgs.scene.depth_map import PhotoSurvey, before_background
+from mrgs.scene.rendering import SOLID_ALPHA
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,7 +92,7 @@ class TrainedRun(ABC):
         return rendering
 
     def temperatures_c(
-        self, rendering: Rendering, min_alpha: float = MIN_ALPHA
+        self, rendering: Rendering, min_alpha: float = SOLID_ALPHA
     ) -> Float[Tensor, "h w"]:
         """The temperatures of a rendering of this run in °C, NaN where there is none, [H, W]. A
         pixel that the model covers less than ``min_alpha`` has none; 0 gives every pixel its value,
@@ -128,7 +129,7 @@ class TrainedRun(ABC):
     def _photo_survey(self) -> PhotoSurvey:
         """What the scene's thermal cameras see of the model."""
         scene = self.load_scene()
-        cameras = [view.images[THERMAL].camera for view in scene.survey_views(THERMAL)]
+        cameras = scene.survey_cameras(THERMAL)
         if not cameras:
             raise ValueError("no °C: the scene has no thermal photos to learn from")
         return PhotoSurvey(before_background(self.render, scene.reach), cameras)

@@ -33,9 +33,6 @@ POINTS, NEW = 5000, 0.1
 """Points of the scene by which cameras are counted; and the share of its points that a further
 camera must show to which the others are too few."""
 
-MIN_ALPHA = 0.5
-"""A pixel that lets through more light than this has no depth."""
-
 SURFACE_DEPTH = 0.03
 """A point is on a surface that a camera sees if the two depths differ by less than this share."""
 

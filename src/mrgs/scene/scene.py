@@ -198,6 +198,10 @@ class Scene:
             self._surveys[modality] = tuple(views[index] for index in chosen)
         return self._surveys[modality]
 
+    def survey_cameras(self, modality: Modality) -> list[Camera]:
+        """The cameras that took the photos of a modality in the ``survey_views``."""
+        return [view.images[modality].camera for view in self.survey_views(modality)]
+
     @cached_property
     def _surveys(self) -> dict[Modality | None, tuple[View, ...]]:
         """The ``survey_views`` that were asked for: a second to find among 1,000 photos."""

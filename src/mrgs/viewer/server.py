@@ -20,7 +20,7 @@ from mrgs.errors import RunError, warn_user
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import PhotoReadings
-from mrgs.marks.run_marks import MarkPicker, surveyed_cameras
+from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.page_data import camera_facts, world_facts
@@ -225,16 +225,16 @@ def instruments_of(subject: Subject) -> tuple[MarkPicker, Appraiser | None]:
     def draw(camera: Camera) -> Rendering:
         return subject.source.run(lambda model: render_surface(model, camera, subject))
 
+    scene, temperature = subject.scene, subject.temperature
     changes = not isinstance(subject.source, TrainedSource)  # what is found is of one step alone
     meter = MarkMeter(
-        before_background(draw, None if subject.scene is None else subject.scene.reach),
-        subject.temperature,
-        surveyed_cameras(subject.scene),
-        CaptureSettings.of(subject.scene),
+        before_background(draw, None if scene is None else scene.reach),
+        temperature,
+        [] if scene is None else scene.survey_cameras(THERMAL),
+        CaptureSettings.of(scene),
         changes=changes,
     )
     appraise: Appraiser | None = None
-    scene, temperature = subject.scene, subject.temperature
     if scene is not None and not changes:
         views = scene.survey_views(THERMAL)
         readings = PhotoReadings(draw, subject.camera_response, views, temperature)
