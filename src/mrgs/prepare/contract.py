@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mrgs.data.radiometric import ExifFacts, GpsPosition, PhotoFacts
 from mrgs.errors import SceneError
-from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame
+from mrgs.scene import RGB, THERMAL, EarthPosition, Modality, PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
 
 Progress = Callable[[str, int, int], None]
@@ -116,6 +116,13 @@ class ConvertedPhotos:
     views: tuple[ConvertedView, ...]
     skipped: tuple[Skipped, ...]
     warnings: tuple[str, ...] = ()
+
+    def to_pose(self) -> tuple[Modality, dict[str, ConvertedImage]]:
+        """The images that get poses, by view, and their modality: RGB, if there are any."""
+        modality = RGB if any(RGB in view.images for view in self.views) else THERMAL
+        return modality, {
+            view.name: view.images[modality] for view in self.views if modality in view.images
+        }
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ from mrgs.prepare.thermal_camera import (
     stated_field_of_view,
 )
 from mrgs.prepare.work import Work
-from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.scene import THERMAL, Modality
 from mrgs.scene.camera import field_of_view
 from mrgs.system.wording import counted
 
@@ -87,8 +87,8 @@ def images(work: Work) -> StageSummary:
 
 def _grey(work: Work, view: str) -> Float32[np.ndarray, "h w"]:
     """The image of a view that gets a pose, as brightness."""
-    [images] = [each.images for each in work.images.views if each.name == view]
-    with Image.open(work.scene / next(iter(images.values())).file) as image:
+    _, images = work.images.to_pose()
+    with Image.open(work.scene / images[view].file) as image:
         return np.asarray(image.convert("F"))
 
 
@@ -97,25 +97,23 @@ def _posed_photos(work: Work) -> dict[str, tuple[str, tuple[int, int]]]:
     view's name, in lower case, as far as these are of one."""
     found: dict[str, set[tuple[str, tuple[int, int]]]] = {}
     photos = {pair.name: pair.photos for pair in work.pairing.pairs}
-    for view in work.images.views:
-        modality, image = next(iter(view.images.items()))  # RGB, if there is any
-        file = photos[view.name].get(modality, photos[view.name][THERMAL])
+    modality, images = work.images.to_pose()
+    for view, image in images.items():
+        file = photos[view].get(modality, photos[view][THERMAL])  # RGB may be within the thermal
         path = file.relative_to(work.photos).as_posix()
-        for name in (path, file.name, file.stem, view.name):
-            found.setdefault(composed(name).lower(), set()).add((view.name, image.size))
+        for name in (path, file.name, file.stem, view):
+            found.setdefault(composed(name).lower(), set()).add((view, image.size))
     return {name: photo for name, (photo, *others) in found.items() if not others}
 
 
 def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummary:
     """Camera poses, given or by ``reconstruct``; they depend on the posed images and their GPS
     positions alone, so that other temperatures do not matter."""
-    views = work.images.views
-    modality = RGB if any(RGB in view.images for view in views) else THERMAL
-    posed = {view.name: view.images[modality] for view in views if modality in view.images}
+    modality, posed = work.images.to_pose()
     files = {name: work.scene / image.file for name, image in posed.items()}
     gps, view_deg, given = work.gps, None, None
     if modality == THERMAL:
-        view_deg = work.options.thermal_fov_deg or stated_field_of_view(views)
+        view_deg = work.options.thermal_fov_deg or stated_field_of_view(work.images.views)
     if work.options.poses is not None:
         two_cameras = modality != THERMAL and not work.options.one_camera
         folder, pairs = work.options.poses, work.pairing.pairs
