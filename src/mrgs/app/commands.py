@@ -274,7 +274,7 @@ class Eval:
     run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Run folder; with --renders, the scene folder."""
     renders: Maybe[Path] = None
-    """Images to score: DIR/rgb/NAME.png, DIR/thermal/NAME.png or .tiff (docs/experiments.md)."""
+    """Images to score: DIR/rgb/NAME.png, DIR/thermal/NAME.png or .tiff (docs/compare.md)."""
     resolution: Maybe[int] = None
     """With --renders: downscale photos wider than this many pixels, as in training."""
     scene: MovedScene = None
@@ -493,7 +493,7 @@ class CompareMethods:
     """Compare methods on scenes: the paper's tables and figures.
 
     Trains and scores every method on every scene. Re-run the same command to resume. See
-    docs/experiments.md for how to read the tables.
+    docs/compare.md for how to read the tables.
     """
 
     scenes: Annotated[
