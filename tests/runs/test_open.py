@@ -170,16 +170,24 @@ def test_a_gpu_renders_what_the_cpu_does_into_the_hosts_memory(run):
     assert observed[THERMAL].image.isfinite().all()
 
 
+def require_same_scores(found, expected):
+    assert found.mean.keys() == expected.mean.keys() == {RGB, THERMAL}
+    for modality, figures in expected.mean.items():
+        numbers = {name: value for name, value in figures.items() if isinstance(value, float)}
+        assert "psnr" in numbers
+        same = {name: found.mean[modality][name] for name in numbers}
+        assert same == pytest.approx(numbers, rel=1e-3, abs=1e-4)
+
+
+@pytest.mark.gpu
+def test_a_gpu_gives_the_same_scores(run):
+    require_same_scores(evaluate_run(load_run(run.folder.path, device="cuda")), evaluate_run(run))
+
+
 def test_without_kernels_an_opened_run_has_the_same_scores(run, monkeypatch):
     metrics = evaluate_run(run)
     monkeypatch.setenv(PLAIN_VARIABLE, "1")
-    plain = evaluate_run(load_run(run.folder.path))
-    assert plain.mean.keys() == metrics.mean.keys() == {RGB, THERMAL}
-    for modality, figures in metrics.mean.items():
-        numbers = {name: value for name, value in figures.items() if isinstance(value, float)}
-        assert "psnr" in numbers
-        found = {name: plain.mean[modality][name] for name in numbers}
-        assert found == pytest.approx(numbers, rel=1e-3, abs=1e-4)
+    require_same_scores(evaluate_run(load_run(run.folder.path)), metrics)
 
 
 @pytest.mark.compares_kernels
