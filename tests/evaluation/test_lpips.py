@@ -46,9 +46,13 @@ def test_layer_shapes(weights: dict[str, Tensor]) -> None:
     assert [tuple(layer.shape) for layer in layers] == expected
 
 
+@pytest.mark.gpu
 def test_the_network_runs_where_the_images_are(weights: dict[str, Tensor]) -> None:
-    layers = Lpips(weights).features(random_image(0).to("meta"))
-    assert {layer.device.type for layer in layers} == {"meta"}
+    lpips, pair = Lpips(weights), (random_image(0), random_image(1))
+    expected, found = lpips(*pair), lpips(*(image.cuda() for image in pair))
+    assert found == pytest.approx(expected, rel=1e-4)
+    assert lpips.features(pair[0].cuda())[0].is_cuda
+    assert lpips(*pair) == expected
 
 
 def test_distance_is_zero_for_identical_images_and_grows_with_noise(weights_file: Path) -> None:
