@@ -28,8 +28,8 @@ from mrgs.marks.surface import (
 )
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.pictures.values import in_unit
-from mrgs.scene import THERMAL, Camera, TemperatureRange
-from mrgs.scene.depth_map import PhotoSurvey, SurfaceRenderer
+from mrgs.scene import THERMAL, Camera, Scene, TemperatureRange
+from mrgs.scene.depth_map import PhotoSurvey, SurfaceRenderer, before_background
 
 NO_SURFACE = "no surface there: draw it on the model"
 NO_PHOTO = "no photo looks at it, so its temperature is not known"
@@ -139,6 +139,26 @@ class MarkMeter:
         self._own: list[tuple[str, Mark]] = []
         self._regions: Regions | None = None
         self._cached = lru_cache(MOST_CACHED)(self._measured)
+
+    @classmethod
+    def of(
+        cls,
+        render: SurfaceRenderer,
+        temperature: TemperatureRange | None,
+        scene: Scene | None,
+        uncertainty: UncertaintyMeter | None = None,
+        changes: bool = False,
+    ) -> MarkMeter:
+        """The meter of a scene's model, by its thermal cameras and their settings, and without the
+        background; by the model alone where the scene is not there."""
+        return cls(
+            before_background(render, None if scene is None else scene.reach),
+            temperature,
+            () if scene is None else scene.survey_cameras(THERMAL),
+            CaptureSettings.of(scene),
+            uncertainty,
+            changes,
+        )
 
     def regions(self, marks: Marks) -> Regions:
         """The parts of the surface with an emissivity of their own; the same object as long as they

@@ -12,7 +12,6 @@ import torch
 from jaxtyping import Float
 
 from mrgs.errors import ConfigError, SceneError
-from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.photo_readings import PhotoReadings
@@ -24,7 +23,6 @@ from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, WorldFrame
 from mrgs.scene.arrays import Array, as_tensor
-from mrgs.scene.depth_map import before_background
 from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.training.checkpoint import shift_temperatures
 
@@ -56,13 +54,7 @@ class RunMarks:
             views, respond = scene.survey_views(THERMAL), run.camera_response
             readings = PhotoReadings(run.render, respond, views, run.temperature)
             uncertainty = UncertaintyMeter.of(readings, scene, run.temperature, survey)
-        self.meter = MarkMeter(
-            before_background(run.render, None if scene is None else scene.reach),
-            run.temperature,
-            [] if scene is None else scene.survey_cameras(THERMAL),
-            CaptureSettings.of(scene),
-            uncertainty,
-        )
+        self.meter = MarkMeter.of(run.render, run.temperature, scene, uncertainty)
         self._picker = MarkPicker(self.meter, self.scene)
 
     @property

@@ -17,7 +17,6 @@ from filelock import FileLock, Timeout
 from jaxtyping import Float
 
 from mrgs.errors import RunError, warn_user
-from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.run_marks import MarkPicker
@@ -27,7 +26,6 @@ from mrgs.pictures.page_data import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, CameraResponse, Rendering, Scene
-from mrgs.scene.depth_map import before_background
 from mrgs.scene.preview import best_view
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.board import Appraiser, MarkBoard
@@ -227,13 +225,7 @@ def instruments_of(subject: Subject) -> tuple[MarkPicker, Appraiser | None]:
 
     scene, temperature = subject.scene, subject.temperature
     changes = not isinstance(subject.source, TrainedSource)  # what is found is of one step alone
-    meter = MarkMeter(
-        before_background(draw, None if scene is None else scene.reach),
-        temperature,
-        [] if scene is None else scene.survey_cameras(THERMAL),
-        CaptureSettings.of(scene),
-        changes=changes,
-    )
+    meter = MarkMeter.of(draw, temperature, scene, changes=changes)
     appraise: Appraiser | None = None
     if scene is not None and not changes:
         views = scene.survey_views(THERMAL)
