@@ -301,6 +301,15 @@ def test_one_set_has_one_unit(made, photos, scene):
     assert all(view.facts.notes for view in found.views)
 
 
+def test_photos_of_an_uncertain_unit_are_read_when_a_later_one_settles_it(made, photos, scene):
+    root = photos({})
+    for name, values in (("a", counts(2900)), ("b", counts(2000))):
+        Image.fromarray(values).save(root / f"{name}_t.png")
+    found = made({"a_rgb.jpg": "jpg", "b_rgb.jpg": "jpg"})
+    assert [view.range_c for view in found.views] == [(29.0, 32.0), (20.0, 23.0)]
+    assert found.skipped == ()
+
+
 R_JPEGS = {
     f"DJI_{i}_{mark}.JPG": ("dji" if mark == "T" else "jpg", {"model": "DJI M3T"})
     for i in (1, 2)

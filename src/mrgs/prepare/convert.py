@@ -127,24 +127,31 @@ def convert_photos(
             remove(file)
     contents = Digests(cache.folder / CONTENTS)
     units: dict[str, str] = {}  # of numbers, by suffix: guessed for the first photo
-    views: list[ConvertedView] = []
-    skipped: list[Skipped] = []
+    outcomes: dict[str, _CachedPair] = {}
+    tried_with: dict[str, str | None] = {}
+
+    def convert(pair: PhotoPair) -> None:
+        suffix = pair.photos[THERMAL].suffix.lower()
+        unit = tried_with[pair.name] = units.get(suffix)
+        settings = _Settings(scene, overrides, unit, orientations)
+        outcome = outcomes[pair.name] = _cached(pair, settings, cache, contents)
+        if outcome.view and outcome.view.facts.unit is not None and overrides.bounds_c is None:
+            units.setdefault(suffix, outcome.view.facts.unit)
+
     try:
         for index, pair in enumerate(pairing.pairs):
             progress("reading and writing", index, len(pairing.pairs))
-            suffix = pair.photos[THERMAL].suffix.lower()
-            settings = _Settings(scene, overrides, units.get(suffix), orientations)
-            outcome = _cached(pair, settings, cache, contents)
-            if outcome.view is None:
-                skipped.append(Skipped(pair.name, outcome.refusal))
-                continue
-            views.append(outcome.view)
-            if outcome.view.facts.unit is not None and overrides.bounds_c is None:
-                units.setdefault(suffix, outcome.view.facts.unit)
+            convert(pair)
         progress("reading and writing", len(pairing.pairs), len(pairing.pairs))
+        for pair in pairing.pairs:  # that may have been refused before the unit was known
+            known = units.get(pair.photos[THERMAL].suffix.lower())
+            if outcomes[pair.name].view is None and tried_with[pair.name] != known:
+                convert(pair)
     finally:
         with suppress(RunError):  # a full disk: the next call reads them again
-            contents.save(forget_others=len(views) + len(skipped) == len(pairing.pairs))
+            contents.save(forget_others=len(outcomes) == len(pairing.pairs))
+    views = [each.view for each in outcomes.values() if each.view is not None]
+    skipped = [Skipped(name, each.refusal) for name, each in outcomes.items() if not each.view]
     if not views:
         first = f"; the first: {skipped[0].reason}" if skipped else "; find pairs first"
         raise SceneError(f"none of the {len(pairing.pairs)} pairs can be used{first}")

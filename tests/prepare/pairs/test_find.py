@@ -25,6 +25,7 @@ from tests.helpers.flir import FlirPhoto, jpg
 from tests.helpers.photos import photo
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)
+TABLE = b"\n".join([b"20,5;" * 20] * 4)
 
 
 def files(root: Path, found: Pairing) -> list[tuple[str | None, str]]:
@@ -305,7 +306,9 @@ def test_clocks_that_cannot_be_told_apart(photos, count):
     assert len(found.warnings) == (count == 11)
 
 
-@pytest.mark.parametrize("converted", ["DJI_0001_T.tif", "celsius/DJI_0001_T.tiff"])
+@pytest.mark.parametrize(
+    "converted", ["DJI_0001_T.tif", "celsius/DJI_0001_T.tiff", "DJI_0001_T.JPG.tiff"]
+)
 def test_a_converted_photo_stands_for_its_original(photos, converted):
     original = ("dji", at(0, model="DJI M3T"))
     root = photos(
@@ -320,12 +323,84 @@ def test_a_converted_photo_stands_for_its_original(photos, converted):
     assert_left_out(found, {"card/DJI_0001_T.JPG": f"taken from card/{converted}"})
 
 
+@pytest.mark.parametrize("table", ["thermal/IMG_0001.csv", "csv/IMG_0001.csv"])
+@pytest.mark.parametrize(
+    ("original", "data"),
+    [
+        ("IMG_0001.jpg", photo("jpg") + b"HDRI" + bytes(64) + b"HIPT"),
+        ("IMG_0001.bmt", b"BM" + bytes(64)),
+    ],
+)
+def test_a_table_stands_for_a_file_that_only_its_maker_reads(photos, original, data, table):
+    root = photos({f"thermal/{original}": data, "rgb/IMG_0001.jpg": "jpg", table: TABLE})
+    found = find_pairs(root)
+    assert files(root, found) == [("rgb/IMG_0001.jpg", table)]
+    assert_left_out(found, {f"thermal/{original}": f"taken from {table}"})
+
+
+@pytest.mark.parametrize("size", [(16, 12), (24, 20)])
+@pytest.mark.parametrize(
+    ("numbers", "preview", "rgb"),
+    [
+        ("thermal/IMG_0001.tif", "thermal/IMG_0001.jpg", "rgb/IMG_0001.jpg"),
+        ("IRX_0001.tif", "IRX_0001.jpg", "MAX_0001.jpg"),
+        ("0001_ir.csv", "0001_ir.jpg", "0001_rgb.jpg"),
+    ],
+)
+def test_a_preview_of_the_temperatures_is_no_rgb_photo(photos, numbers, preview, rgb, size):
+    content = TABLE if numbers.endswith("csv") else "celsius"
+    root = photos({numbers: content, preview: ("jpg", {"size": size}), rgb: "jpg"})
+    found = find_pairs(root)
+    assert files(root, found) == [(rgb, numbers)]
+    assert_left_out(found, {preview: f"taken from {numbers}"})
+
+
+def test_a_folder_of_both_cameras_may_be_called_thermal(photos):
+    thermal = {f"thermal 1/T{i}.tif": ("celsius", at(60 * i)) for i in range(4)}
+    rgb = {f"thermal 1/IMG_{i + 7}.jpg": ("jpg", at(60 * i)) for i in range(4)}
+    root = photos(thermal | rgb)
+    found = find_pairs(root)
+    assert files(root, found) == list(zip(rgb, thermal, strict=True))
+
+
+@pytest.mark.parametrize("name", ["{} (1)", "{} - Copy", "{}_copy 2", "{} - Kopie"])
+def test_copies_that_a_file_manager_made_add_no_views(photos, name):
+    originals = {"rgb/a.jpg": "jpg", "thermal/a.tif": "celsius"}
+    copies = {"rgb/{}.jpg".format(name.format("a")): "jpg"}
+    root = photos(originals | copies)
+    found = find_pairs(root)
+    assert files(root, found) == [("rgb/a.jpg", "thermal/a.tif")]
+    assert_left_out(found, dict.fromkeys(copies, "copy of rgb/a.jpg"))
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        b"x,y,temperature\n" + b"".join(b"%d,%d,20.5\n" % (i % 4, i // 4) for i in range(16)),
+        b"\n".join([b",".join([b"20.5"] * 8)] * 8),
+        b"\n".join([b"a setting: yes"] * 120 + [b"20.5," * 20] * 4),
+    ],
+)
+def test_every_table_that_is_read_counts(photos, table):
+    root = photos({"rgb/a.jpg": "jpg", "thermal/a.csv": table})
+    assert files(root, find_pairs(root)) == [("rgb/a.jpg", "thermal/a.csv")]
+
+
+@pytest.mark.parametrize(
+    "head", [b"file,lat,lon,alt,a,b,c,d,e", b"SourceFile;GPS Latitude;GPS Longitude;b;c;d;e;f;g"]
+)
+def test_a_list_of_positions_is_no_photo(photos, head):
+    rows = [b"IMG_1.tif,46.1,11.2,230,1,2,3,4,5"] * 20
+    found = find_pairs(photos({"a.tif": "celsius", "geo.csv": b"\n".join([head, *rows])}))
+    assert [pair.photos[THERMAL].name for pair in found.pairs] == ["a.tif"]
+    assert_left_out(found, {"geo.csv": "list of positions"})
+
+
 def test_the_best_of_several_thermal_files(photos):
-    table = b"\n".join([b"20,5;" * 20] * 4)
     root = photos(
         {
             "a.jpg": "flir",
-            "a.csv": table,
+            "a.csv": TABLE,
             "a_rgb.jpg": "jpg",
             "b.tif": "celsius",
             "b_8b.jpg": "png",

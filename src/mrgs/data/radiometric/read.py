@@ -36,8 +36,8 @@ class Reader(NamedTuple):
         read: its photo; raises ``SceneError`` if it cannot be read.
         kind: what it holds, by which ``mrgs prepare`` finds thermal photos among others. An image
             may turn out to hold numbers, or to be a photo in visible light.
-        needs_tool: whether only the maker's tool reads it, as a DJI R-JPEG: it then computes the
-            temperatures, and a file that was made with it before is used instead.
+        needs_tool: whether only the maker's tool reads it, which computes the temperatures of a DJI
+            R-JPEG here; a file that was made with it before is used instead.
     """
 
     recognises: Callable[[bytes, Path], bool]
@@ -85,7 +85,7 @@ READERS = [
     ),
     Reader(lambda data, _: holds_dji_signal(data), read_r_jpeg, "signal", needs_tool=True),
     Reader(lambda data, _: data.startswith(FFF_SIGNATURES), read_flir, "signal"),
-    *(Reader(each.recognises, each.refuse, "signal") for each in _CLOSED_FORMATS),
+    *(Reader(each.recognises, each.refuse, "signal", needs_tool=True) for each in _CLOSED_FORMATS),
     Reader(lambda data, _: data.startswith(_RASTERS), read_raster),
     Reader(lambda _, path: path.suffix.lower() in _TABLE_SUFFIXES, read_table, "table"),
     Reader(lambda _, path: path.suffix.lower() == ".raw", read_bare_numbers, "numbers"),

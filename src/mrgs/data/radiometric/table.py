@@ -171,7 +171,7 @@ def _picture(table: _Table, beside: list[str], path: Path) -> Float64[np.ndarray
     without saying which number is what."""
     values = table.values()
     height, width = values.shape
-    columns = next((found for line in beside if (found := _columns(line, width))), None)
+    columns = next((found for line in beside if (found := columns_of(line, width))), None)
     values = _placed(values[:, columns]) if columns else values
     if values.size == 0 or (not columns and height > 4 * width and width < 8):
         raise scene_error(
@@ -182,7 +182,7 @@ def _picture(table: _Table, beside: list[str], path: Path) -> Float64[np.ndarray
     return values
 
 
-def _columns(line: str, width: int) -> list[int]:
+def columns_of(line: str, width: int) -> list[int]:
     """Which numbers are a pixel's row, column and temperature, by a line of headings; the only one
     of unknown name is the temperature. Empty if the line does not say."""
     separator = next((each for each in _SEPARATORS if each in line), ",")

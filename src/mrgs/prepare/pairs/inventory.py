@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import filecmp
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
-from mrgs.data.files import composed, decoded_text, read_bytes, visible_files
+from mrgs.data.files import (
+    composed,
+    decoded_text,
+    read_bytes,
+    visible_files,
+    without_image_suffix,
+)
 from mrgs.data.images import holds_numbers, opened, stored_size
 from mrgs.data.kept import Stamp, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
 from mrgs.data.radiometric.exif import JPEG_SIGNATURE, RECORD_MARKS, flir_record
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
-from mrgs.data.radiometric.table import numbers_in
+from mrgs.data.radiometric.table import columns_of, numbers_in
 from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import Progress, Skipped
 from mrgs.prepare.pairs.photo import Photo, folder_modality, natural, told_apart
@@ -27,6 +34,12 @@ _HEAD_BYTES = 2**20
 
 _TABLE_COLUMNS = 8
 """Least number of cells in the longest line of a table of temperatures."""
+
+_COPY = re.compile(r"[ _-]*(?:\(\d+\)|copy(?: ?\d+)?|kopie|copie)$")
+"""What file managers append to the names of copies."""
+
+_LOG = re.compile(r"(?i)^\D*\blat(?:itude)?\b\D*\b(?:lon|lng|long|longitude)\b\D*$")
+"""The headings of a flight log or of geotags."""
 
 _UNSUPPORTED = {
     ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".gpr", ".cr2", ".cr3", ".nef",
@@ -42,8 +55,9 @@ NOT_READ = "which is not read; save it as JPEG or PNG"
 
 def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
     """The photo in a file, or half a sentence with the reason why it is not one; ``relative`` is
-    its path below the folder of photos."""
-    suffix, origin = path.suffix.lower(), relative.with_suffix("")
+    its path below the folder of photos. ``1_T.JPG.tiff`` was converted from ``1_T.JPG``."""
+    suffix = path.suffix.lower()
+    origin = PurePosixPath(without_image_suffix(relative.with_suffix("").as_posix()))
     try:
         data = _head(path)
         if not data:
@@ -130,10 +144,13 @@ def _image(path: Path, origin: PurePosixPath, data: bytes, is_whole: bool = Fals
 
 
 def _table(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
-    lines = decoded_text(data).splitlines()[:100]
+    lines = decoded_text(data).splitlines()[:1000]
+    if any(map(_LOG.search, lines)):
+        return "is a list of positions"
     is_wide = any(
         numbers_in(line.split()) >= _TABLE_COLUMNS
-        or any(line.count(sign) >= _TABLE_COLUMNS for sign in ";\t,")
+        or any(line.count(sign) >= _TABLE_COLUMNS - 1 for sign in ";\t,")
+        or columns_of(line, 3)
         for line in lines
     )
     return Photo(path, origin, "table") if is_wide else "is no photo"
@@ -205,8 +222,7 @@ def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
             root, f"{what}; give the folder with the camera's JPEG, PNG or TIFF files"
         )
     photos, copies = _without_copies(photos)
-    kept, replaced = _one_file_per_photo(photos)
-    photos = told_apart(kept, root.resolve().name)
+    photos, replaced = _one_file_per_photo(told_apart(photos, root.resolve().name))
     return Inventory(root, tuple(photos), tuple(skipped + copies + replaced))
 
 
@@ -218,14 +234,15 @@ def _inspected(path: Path, relative: PurePosixPath, stamp: Stamp) -> Photo | str
 
 def _without_copies(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
     """The photos without copies: of files with the same name and content, as in a backup of the
-    card, the one with the shortest path is kept.
+    card or ``IMG_0001 (1).jpg``, the one with the shortest path is kept.
 
     Each copy would be a view of its own, and that of a held-out view would be trained on.
     """
     by_name: dict[tuple[str, int, Modality | None], list[Photo]] = {}
     for photo in photos:
         camera, _ = folder_modality(photo.origin.parts[:-1])
-        key = composed(photo.path.name.casefold()), photo.path.stat().st_size, camera
+        name = _COPY.sub("", composed(photo.path.stem.casefold())) + photo.path.suffix.casefold()
+        key = name, photo.path.stat().st_size, camera
         by_name.setdefault(key, []).append(photo)
     copies: dict[Photo, Photo] = {}
     for group in by_name.values():
@@ -249,9 +266,12 @@ def _same_content(first: Path, second: Path) -> bool:
 def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
     """The best file of each thermal photo; the others are skipped.
 
-    Files of one stem in one folder are the same photo, and so are a DJI R-JPEG and the one file of
-    that stem elsewhere that it was converted to.
+    Files of one stem in one folder are the same photo, and so are one that only the maker's tool
+    reads and the one file of that stem elsewhere that it was converted to. Where there are RGB
+    photos besides, an image that is thermal by its folder or name is the preview of the numbers
+    beside it.
     """
+    has_rgb = not all(photo.is_reference for photo in photos)
     by_stem: dict[str, list[Photo]] = {}
     for photo in photos:
         by_stem.setdefault(composed(photo.origin.name.casefold()), []).append(photo)
@@ -262,7 +282,8 @@ def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]
             beside = [
                 other
                 for other in group
-                if photo.is_thermal and other.is_thermal and other.path.parent == photo.path.parent
+                if other.path.parent == photo.path.parent
+                and all(one.is_reference if has_rgb else one.is_thermal for one in (photo, other))
             ]
             best[photo] = min([photo, *beside], key=lambda one: one.preference)
             if best[photo].needs_tool and len(finished) == 1:

@@ -45,9 +45,10 @@ PARTNER_MARKS = ("w", "wide", "v", "vis", "visible", "rgb", "", "z", "zoom")
 """Camera suffixes by preference among RGB photos of a moment: wide ones cover the thermal image."""
 
 _LAST_LETTER = re.compile(
-    r"(?:(?<=\d)[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE
+    r"(?:(?<=\d)(?<!T\d{6})[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE
 )
-"""After a number any of these letters, after a word only T: ``house_w`` may be the west side."""
+"""After a number any of these letters, but for the Z of ``20240131T120000Z``; after a word only T:
+``house_w`` may be the west side."""
 
 _LAST_R = re.compile(r"(?:(?<=\d)[_\-]r|[_\-]rad)$", re.IGNORECASE)
 _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?", re.IGNORECASE)
@@ -126,14 +127,18 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
         mark = (found["camera"] or found["thermal"]).lower()
         return StemFacts(stem[: found.start()], _LETTERS[mark], mark)
     parts = re.split(r"[_\-. ]+", stem)
+    named = [_word_and_number(part) for part in parts]
     for index in reversed(range(len(parts))):
-        word, number = _word_and_number(parts[index])
-        modality = _modality_of(word) if len(word) > 1 else None
+        mark = named[index][0].lower()
+        modality = _modality_of(mark) if len(mark) > 1 else None
         if modality is not None:
-            rest = [*parts[:index], number, *parts[index + 1 :]]
-            # Autel's MAX_0001_IR belongs to MAX_0001.
-            key = "_".join(part for part in rest if part and part.lower() != "max")
-            return StemFacts(key, modality, word.lower())
+            # IR0001_visible belongs to IR0001, 0001_ir_celsius to 0001_rgb, and Autel's
+            # MAX_0001_IR to MAX_0001.
+            rest = [
+                number if at == index or word.lower() in {*_THERMAL_WORDS, "max"} else parts[at]
+                for at, (word, number) in enumerate(named)
+            ]
+            return StemFacts("_".join(filter(None, rest)), modality, mark)
     return StemFacts(stem)
 
 
@@ -205,9 +210,19 @@ def candidate_by_folder(photo: Photo) -> Candidate:
 def told_apart(photos: Sequence[Photo], root_name: str) -> list[Photo]:
     """The photos, which know if they are of the reference modality. The name of the folder of all
     photos counts where nothing else says what any of them is: a folder of both cameras' photos may
-    be called "thermal survey"."""
+    be called "thermal survey", and so may one below it: half as many plain images or more, of
+    other stems, are RGB photos there unless their names say something else."""
+    stems = {photo.origin for photo in photos if photo.is_thermal}
+    others = [photo for photo in photos if photo.origin not in stems]
+    thermal, plain = (Counter(photo.origin.parent for photo in group) for group in (
+        [photo for photo in photos if photo.is_thermal], others,
+    ))  # fmt: skip
+    mixed = {folder for folder, count in plain.items() if 0 < thermal[folder] <= 2 * count}
+    not_by_folder = {photo for photo in others if photo.origin.parent in mixed}
     found = [
-        candidate_by_folder(photo).modality or candidate_by_name(photo).modality for photo in photos
+        (None if photo in not_by_folder else candidate_by_folder(photo).modality)
+        or candidate_by_name(photo).modality
+        for photo in photos
     ]
     if not any(found):
         found = [folder_modality([root_name])[0]] * len(photos)

@@ -330,6 +330,9 @@ _LOOKED_AT = 50_000
 _FEWEST = 3
 """Fewer pairs than this prove no offset."""
 
+_CLOCK_S = 0.2
+"""What clocks of whole seconds let that spread vary by, seconds."""
+
 _RANK_S = 1e-5
 """Photos of the same second are ordered as if they were this far apart, seconds."""
 
@@ -372,24 +375,37 @@ def clock_offset(
     first_s: Sequence[float], second_s: Sequence[float], tolerance_s: float
 ) -> ClockOffset:
     """The clock offset with which most photos find a partner within ``tolerance_s`` seconds, by
-    ascending times; 0 where that is nearly as good."""
+    ascending times; 0 where that is nearly as good. What the pairs are apart must not vary by much
+    more than with another offset, as it does where all are shifted by one photo."""
     first, second = np.asarray(first_s, np.float64), np.asarray(second_s, np.float64)
     in_step = ClockOffset(0.0, _count(first, second, tolerance_s))
     smaller = min(len(first), len(second))
-    if smaller < _FEWEST or in_step.pairs >= _NEARLY * smaller:
+    if smaller < _FEWEST:
         return in_step
-    window_s = max(tolerance_s, 0.5)
-    tried = _frequent_differences(first, second, window_s)
-    found = sorted(
-        (ClockOffset(s, _count(first - s, second, tolerance_s)) for s in tried),
-        key=lambda one: -one.pairs,
-    )
-    best = found[0]
-    if best.pairs < max(_FEWEST, smaller / 2) or in_step.pairs >= _NEARLY * best.pairs:
+    windows_s = (0.5, max(tolerance_s, 0.5))
+    tried = {s for window_s in windows_s for s in _frequent_differences(first, second, window_s)}
+    found = [ClockOffset(s, _count(first - s, second, tolerance_s)) for s in sorted(tried, key=abs)]
+    most = max(one.pairs for one in [in_step, *found])
+    if most < max(_FEWEST, smaller / 2):
         return in_step
-    others = [one for one in found[1:] if abs(one.seconds - best.seconds) > 2 * window_s]
-    rival = others[0] if others and others[0].pairs >= _NEARLY * best.pairs else None
-    return ClockOffset(best.seconds, best.pairs, rival)
+    found = [one for one in [in_step, *found] if one.pairs >= _NEARLY * most]
+    spreads = [_spread_s(first - one.seconds, second, tolerance_s) for one in found]
+    highest = 2 * min(spreads) + _CLOCK_S
+    found = [one for one, spread in zip(found, spreads, strict=True) if spread <= highest]
+    best = found[0] if found[0] == in_step else max(found, key=lambda one: one.pairs)
+    far = [one for one in found if abs(one.seconds - best.seconds) > windows_s[1]]
+    rival = max(far, key=lambda one: one.pairs, default=best)
+    is_doubt = rival.pairs > best.pairs or best != in_step != rival
+    return ClockOffset(best.seconds, best.pairs, rival if is_doubt and rival != best else None)
+
+
+def _spread_s(
+    first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], tolerance_s: float
+) -> float:
+    """Mean absolute deviation of what the photos of a pair are apart, from its median, seconds."""
+    pairs = match_times(first.tolist(), second.tolist(), tolerance_s)
+    apart = np.array([first[i] - second[j] for i, j in pairs])
+    return float(np.abs(apart - np.median(apart)).mean())
 
 
 def _frequent_differences(
