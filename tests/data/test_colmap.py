@@ -114,6 +114,59 @@ def test_both_images_of_a_pair_may_be_registered(writer):
     assert not torch.equal(view.images[RGB].camera.viewmat, view.images[THERMAL].camera.viewmat)
 
 
+BOTH = {
+    "folders below one": ("images/rgb/{}.png", "images/thermal/{}.png", "images/"),
+    "one folder within the other": ("images/{}.png", "images/IR/{}.png", "images/"),
+    "words in one folder": ("images/rgb_{}.png", "images/thermal_{}.png", "images/"),
+    "words at the end": ("images/{}-rgb.png", "images/{}-thermal.png", "images/"),
+    "folders of both words": (
+        "images/rgb_images/{}.png",
+        "images/thermal_images/{}.png",
+        "images/",
+    ),
+    "words in two folders": ("rgb/rgb_{}.png", "thermal/thermal_{}.png", ""),
+    "a folder of images before": ("images/{}.png", "images_thermal/{}.png", ""),
+}
+
+
+@pytest.mark.parametrize(("rgb", "thermal", "root"), BOTH.values(), ids=BOTH)
+@pytest.mark.parametrize("is_below_root", [True, False])
+def test_both_cameras_in_one_model(writer, rgb, thermal, root, is_below_root):
+    names = [each.format(number) for each in (rgb, thermal) for number in range(9)]
+    for index, name in enumerate(names):
+        writer.image(name, "L" if index >= 9 else "RGB", seed=index)
+    writer.bounds(0.0, 50.0)
+    writer.colmap([name.removeprefix(root if is_below_root else "") for name in names], True)
+    scene = load_scene(writer.root)
+    assert [view.name for view in scene.eval] == ["0", "8"]
+    assert [view.name for view in scene.train] == [str(number) for number in range(1, 8)]
+    for view in scene.train + scene.eval:
+        assert view.images[RGB].files == (writer.root / rgb.format(view.name),)
+        assert view.images[THERMAL].files == (writer.root / thermal.format(view.name),)
+        assert not view.shares_camera(RGB, THERMAL)
+
+
+@pytest.mark.parametrize(("rgb", "thermal", "root"), BOTH.values(), ids=BOTH)
+def test_both_cameras_of_which_one_is_registered(writer, rgb, thermal, root):
+    for number in range(3):
+        writer.image(rgb.format(number), seed=number)
+        writer.image(thermal.format(number), "L", seed=number)
+    writer.colmap([rgb.format(number).removeprefix(root) for number in range(3)], True)
+    scene = load_scene(writer.root)
+    assert all(view.shares_camera(RGB, THERMAL) for view in scene.train + scene.eval)
+
+
+def test_images_told_apart_by_words_need_no_partner(writer):
+    names = ["front_1.png", "front_2.png", "thermal_1.png", "thermal_7.png"]
+    for index, name in enumerate(names):
+        writer.image(f"images/{name}", seed=index)
+    writer.colmap(names, binary=True)
+    scene = load_scene(writer.root)
+    held = {view.name: tuple(view.images) for view in scene.train + scene.eval}
+    assert held == {"front_1": (RGB,), "front_2": (RGB,), "1": (THERMAL,), "7": (THERMAL,)}
+    assert any("told apart" in note for note in scene.notes)
+
+
 @pytest.mark.parametrize(
     ("model", "parameters", "K"),
     [

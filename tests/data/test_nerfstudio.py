@@ -21,6 +21,7 @@ from mrgs.scene import (
     WorldFrame,
     known_modalities,
 )
+from tests.helpers.layouts import orbit_pose
 
 
 def test_thermoscenes(writer):
@@ -123,6 +124,54 @@ def test_thermal_alone(writer):
     scene = load_scene(writer.root)
     assert scene.modalities == (THERMAL,)
     assert len(scene.eval) == 2
+
+
+@pytest.mark.parametrize("folder", ["images_thermal", "thermal_images", "images"])
+@pytest.mark.parametrize(("no", "yes"), [(0, 1), (False, True)])
+def test_frames_of_one_camera_each(writer, folder, no, yes):
+    content = writer.thermoscenes()
+    content["frames"] = []
+    for index in range(8):
+        rgb, thermal = f"images/{index}.png", f"{folder}/{'t' * (folder == 'images')}{index}.png"
+        for each, name in enumerate((rgb, thermal)):
+            writer.image(name, "L" if each else "RGB", seed=index)
+            pose = orbit_pose(0.7 * index + 0.1 * each).tolist()
+            frame = {"file_path": name, "transform_matrix": pose, "fl_x": 20.0 + each}
+            content["frames"].append(frame | {"is_thermal": yes if each else no})
+    writer.transforms(content)
+    scene = load_scene(writer.root)
+    views = scene.train + scene.eval
+    assert sorted([each.name for each in view.images] for view in views) == (
+        [["rgb"]] * 8 + [["thermal"]] * 8
+    )
+    for view in views:
+        is_thermal = THERMAL in view.images
+        (image,) = view.images.values()
+        assert image.camera.K[0, 0] == 20.0 + is_thermal
+        assert (folder in str(image.files[0].relative_to(writer.root))) or not is_thermal
+
+
+def test_a_frame_that_says_oddly_whether_it_is_thermal(writer):
+    content = writer.thermoscenes()
+    content["frames"][2]["is_thermal"] = "no"
+    writer.transforms(content)
+    with pytest.raises(SceneError, match="is_thermal of frame 2 is 'no'"):
+        load_scene(writer.root)
+
+
+@pytest.mark.parametrize("folder", ["images_thermal", "thermal_images"])
+def test_further_names_of_the_folder_of_thermal_images(writer, folder):
+    content = writer.thermoscenes()
+    (writer.root / "thermal").rename(writer.root / folder)
+    for frame in content["frames"]:
+        del frame["thermal_file_path"]
+    writer.transforms(content)
+    scene = load_scene(writer.root)
+    assert all(view.images.keys() == {RGB, THERMAL} for view in scene.train + scene.eval)
+    for frame in content["frames"]:
+        frame["file_path"] = f"{folder}/{frame['file_path'].split('/')[1]}"
+    writer.transforms(content)
+    assert load_scene(writer.root).modalities == (THERMAL,)
 
 
 NIR = Modality("nir", 1)

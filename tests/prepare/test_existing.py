@@ -10,9 +10,9 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
-from mrgs.prepare.contract import Reconstruction
+from mrgs.prepare.contract import PhotoPair, Reconstruction
 from mrgs.prepare.existing import existing_poses
-from mrgs.scene import EarthPosition, WorldFrame
+from mrgs.scene import RGB, THERMAL, EarthPosition, Modality, WorldFrame
 from tests.helpers.converted import sizes_of
 
 
@@ -127,7 +127,7 @@ def test_other_names(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg", "d.jpg"])
     with pytest.raises(SceneError) as error:
         found_for(tmp_path / "model", photos(tmp_path / "photos", ["a", "x", "y"]))
-    for told in (str(tmp_path / "model"), "1 of 3 photos", "a, b, c"):
+    for told in (str(tmp_path / "model"), "1 of 3 photos", "a.jpg, b.jpg, c.jpg"):
         assert told in str(error.value)
 
 
@@ -135,6 +135,56 @@ def test_names_that_stand_for_two_images(tmp_path):
     write_colmap(tmp_path / "model", ["one/a.jpg", "two/a.jpg", "c.jpg", "d.jpg"])
     with pytest.raises(SceneError, match="named a;"):
         found_for(tmp_path / "model", photos(tmp_path / "photos", ["a", "c", "d"]))
+
+
+def pairs_of(folder: Path, files: dict[str, str], modality: Modality = RGB) -> list[PhotoPair]:
+    """Pairs by the views' names, of photos of these paths."""
+    return [PhotoPair(name, {modality: folder / path}) for name, path in files.items()]
+
+
+def test_one_model_of_both_cameras(tmp_path):
+    names = [f"{folder}/{number}.png" for folder in ("rgb", "thermal") for number in range(4)]
+    write_colmap(tmp_path / "model", [name for name in names if name != "rgb/3.png"])
+    images = photos(tmp_path / "images", list("0123"))
+    for modality, folder, first_x in ((RGB, "rgb", 0.0), (THERMAL, "thermal", 0.3)):
+        files = {name: f"{folder}/{name}.jpg" for name in images}
+        pairs = pairs_of(tmp_path / "photos", files, modality)
+        found = found_for(tmp_path / "model", images, pairs=pairs)
+        got = {name: float(viewmat[0, 3]) for name, viewmat in found.viewmats.items()}
+        count = 3 + (modality == THERMAL)  # no RGB photo has the pose of a thermal one
+        assert got == pytest.approx({str(at): first_x + 0.1 * at for at in range(count)})
+    elsewhere = pairs_of(tmp_path / "photos", {name: f"visible/{name}.jpg" for name in images})
+    with pytest.raises(SceneError, match=r"poses named 0, 1, 2; name them .* folders"):
+        found_for(tmp_path / "model", images, pairs=elsewhere)
+
+
+def test_photos_of_two_cards_with_equal_names(tmp_path):
+    files = {
+        f"{card}_DJI_{number}_W": f"{card}/DJI_{number}_W.JPG"
+        for card in ("100MEDIA", "101MEDIA")
+        for number in range(3)
+    }
+    write_colmap(tmp_path / "model", [f"flight/{path}" for path in files.values()])
+    write_colmap(tmp_path / "earlier", [f"images/{name}.jpg" for name in files])
+    images = photos(tmp_path / "images", list(files))
+    pairs = pairs_of(tmp_path / "photos", files)
+    for model in ("model", "earlier"):
+        found = found_for(tmp_path / model, images, pairs=pairs)
+        got = {name: float(viewmat[0, 3]) for name, viewmat in found.viewmats.items()}
+        assert got == pytest.approx({name: 0.1 * at for at, name in enumerate(files)})
+    write_colmap(tmp_path / "bare", ["DJI_0_W.JPG", "DJI_1_W.JPG", "DJI_2_W.JPG"])
+    with pytest.raises(SceneError, match="0 of 6 photos have a pose"):
+        found_for(tmp_path / "bare", images, pairs=pairs)
+
+
+def test_a_pose_of_the_other_card_is_not_that_of_a_photo_alone(tmp_path):
+    """Photo 3 of the first card has none: photo 3 of the second card does not stand in."""
+    poses = [f"{card}/{number}.JPG" for card in "ab" for number in range(3)]
+    write_colmap(tmp_path / "model", [*poses, "b/3.JPG"])
+    files = {f"a_{number}": f"a/{number}.JPG" for number in range(4)}
+    images = photos(tmp_path / "images", list(files))
+    found = found_for(tmp_path / "model", images, pairs=pairs_of(tmp_path / "photos", files))
+    assert [left.name for left in found.failed] == ["a_3"]
 
 
 def test_a_folder_without_poses(tmp_path):

@@ -8,6 +8,7 @@ COLMAP's documentation, "Output Format".
 
 from __future__ import annotations
 
+import re
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -282,10 +283,16 @@ def _text_point(line: str) -> tuple[float, ...]:
 
 FOLDERS = {
     RGB: ("rgb", "images"),
-    THERMAL: ("thermal", "infrared", "ir", "tir", "lwir", "thermal_images"),
+    THERMAL: ("thermal", "infrared", "ir", "tir", "lwir", "thermal_images", "images_thermal"),
 }
 """Possible folders of each modality's images; the first that exists is used, of the further thermal
 ones only if they have names of the RGB images."""
+
+_THERMAL_WORD, _WORD = (
+    re.compile(rf"(?i)(?<![a-z])(?:{'|'.join(names)})(?![a-z])[_\-. /]*")
+    for names in (FOLDERS[THERMAL], FOLDERS[THERMAL] + FOLDERS[RGB])
+)
+"""The same names as words of paths, by which the images of one folder are told apart."""
 
 COLOURED = 0.01
 """Standard deviation of the channels, 0 to 1, from which on an image is no grey one in colour."""
@@ -296,28 +303,37 @@ Registered = dict[tuple[Modality, str], RegisteredImage]
 
 @dataclass(frozen=True)
 class _Images:
-    """The image files of one modality by key: path below the folder without extension."""
+    """The image files of one modality by key, and the keys by path below the folder without
+    extension: that path, or what is left of it without words for a modality."""
 
     modality: Modality
     folder: str
     files: dict[str, Path]
+    keys: dict[str, str]
 
-    def key_of(self, name: str) -> str | None:
-        """The key of a name in the reconstruction: the whole path, or the file's stem if only one
-        matches; None if there is none."""
+    def key_of(self, name: str, is_whole: bool = False) -> str | None:
+        """The key of a name in the reconstruction: the whole path, or else, unless that is wanted,
+        the file's stem if only one matches; None if there is none."""
         path = without_image_suffix(composed(PurePosixPath(name).as_posix()))
         for candidate in (path, path.removeprefix(f"{self.folder}/")):
-            if candidate in self.files:
-                return candidate
+            if candidate in self.keys:
+                return self.keys[candidate]
         matches = self._by_stem[path.rpartition("/")[2]]
-        return matches[0] if len(matches) == 1 else None
+        return matches[0] if len(matches) == 1 and not is_whole else None
 
     @cached_property
     def _by_stem(self) -> Mapping[str, list[str]]:
         found = defaultdict[str, list[str]](list)
-        for key in self.files:
-            found[key.rpartition("/")[2]].append(key)
+        for path, key in self.keys.items():
+            found[path.rpartition("/")[2]].append(key)
         return found
+
+    def without_words(self) -> _Images:
+        """The same, with keys without words for a modality, unless two would be equal."""
+        keys = {path: _WORD.sub("", path).strip("_-. /") or path for path in self.keys}
+        if len({*keys.values()}) < len(keys):
+            return self
+        return replace(self, keys=keys, files={keys[path]: self.files[path] for path in keys})
 
 
 def read_colmap(root: Path, model: ColmapModel, notes: ReadingNotes) -> SceneSource:
@@ -335,7 +351,7 @@ def read_colmap(root: Path, model: ColmapModel, notes: ReadingNotes) -> SceneSou
             file, "holds no registered image; run COLMAP again with more overlap between the photos"
         )
     images = _image_folders(root, finder, notes)
-    found = _match(registered, images, finder, file, notes)
+    found = _match(registered, images, root, finder, file, notes)
     keys = sorted({key for _, key in found})
     if left_out := len({key for each in images for key in each.files}) - len(keys):
         notes.decide(
@@ -356,9 +372,19 @@ def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list
         files = finder.tree(root / name) if name else {}
         is_usual = modality == RGB or name.lower() == names[0] or not images
         if files and (is_usual or files.keys() & images[0].files.keys()):
-            images.append(_Images(modality, name, files))
+            images.append(_Images(modality, name, files, {key: key for key in files}))
     if [each.modality for each in images] != [RGB]:
-        return images
+        is_paired = len(images) < 2 or images[0].files.keys() & images[1].files.keys()
+        return images if is_paired else [each.without_words() for each in images]
+    own = images[0].files
+    is_thermal = {key: _THERMAL_WORD.search(key) is not None for key in own}
+    if len({*is_thermal.values()}) == 2:
+        notes.decide(f"Images in {images[0].folder}/ are told apart by names like thermal.")
+        return [
+            _Images(modality, images[0].folder, files, {key: key for key in files}).without_words()
+            for modality in FOLDERS
+            if (files := {key: own[key] for key in own if is_thermal[key] == (modality == THERMAL)})
+        ]
     has_bounds = any(is_file(root / on_disk(root, bounds)) for bounds in BOUNDS_FILES)
     first = next(iter(images[0].files.values()))
     if has_bounds or all(probe(path).kind != "colour" for path in images[0].files.values()):
@@ -372,21 +398,26 @@ def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list
 def _match(
     registered: Sequence[RegisteredImage],
     images: Sequence[_Images],
+    root: Path,
     finder: ImageFinder,
     file: Path,
     notes: ReadingNotes,
 ) -> Registered:
     """The image files of the registered images; of several formats, the registered one. A name that
-    starts with a folder is looked up there first, else among the RGB images first."""
+    is a whole path, or starts with a folder, is looked up there first, else among the RGB images
+    first."""
     found: Registered = {}
     for image in registered:
         folder = PurePosixPath(image.name).parts[:1]
-        for each in sorted(images, key=lambda each: (each.folder,) != folder):
+        for each in sorted(
+            images,
+            key=lambda each: (each.key_of(image.name, True) is None, (each.folder,) != folder),
+        ):
             key = each.key_of(image.name)
             if key is not None:
                 name = PurePosixPath(image.name).name
                 if (before := found.setdefault((each.modality, key), image)) is image:
-                    named = PurePosixPath(each.folder, key).with_name(name).as_posix()
+                    named = each.files[key].relative_to(root).with_name(name).as_posix()
                     each.files[key] = finder.find(named, file) or each.files[key]
                 else:
                     names = f"{shown(before.name)} and {shown(image.name)}"

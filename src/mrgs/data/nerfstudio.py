@@ -5,7 +5,8 @@ Beyond nerfstudio's own keys a frame may have ``thermal_file_path`` and ``therma
 thermal camera of its own is given by ``thermal_camera`` (intrinsics, at the top or in the frame)
 and ``thermal_transform_matrix``. The same keys exist for every modality that the file lists under
 ``modalities`` (``[{"name": "nir", "channels": 1}]``; ``unit`` and ``title`` may be added), and for
-those that Python has registered.
+those that Python has registered. With ``is_thermal`` (0 or 1), as in ThermalNeRF's scenes, each
+camera's images are frames of their own.
 """
 
 from __future__ import annotations
@@ -43,8 +44,9 @@ from mrgs.data.sources import (
 )
 from mrgs.data.transforms import RECORD
 from mrgs.errors import scene_error
-from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
+from mrgs.scene import RGB, THERMAL, EarthPosition, Modality, PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
+from mrgs.scene.modality import known_modalities
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.system.typed_json import from_json, json_value
 from mrgs.system.wording import shown
@@ -120,6 +122,11 @@ def _of_lens(values: Mapping[str, Any]) -> dict[str, Any]:
     found = {name: values[name] for name in (*_REFUSED, *_LENS_KEYS) if name in values}
     is_zero = {n for n in _REFUSED if isinstance(found.get(n), list) and not any(found[n])}
     return found | dict.fromkeys(is_zero, 0)
+
+
+def _folders(modality: Modality) -> tuple[str, ...]:
+    """How folders with images of a modality may be named."""
+    return str(modality), f"images_{modality}", f"{modality}_images"
 
 
 class _TransformsReader:
@@ -220,7 +227,8 @@ class _TransformsReader:
     def _image_paths(self, frame: Mapping[str, Any], what: str) -> dict[Modality, Path]:
         """The images of a frame by modality, RGB first. A ``file_path`` in a folder named like
         another modality is of that one; an image that is not named is looked for in the folder of
-        its modality, under the name of the first."""
+        its modality, under the name of the first. A frame that says whether it ``is_thermal``, as
+        ThermalNeRF's do, has one image, and so has its camera."""
         first = self._path(frame, "file_path", what)
         others = [modality for modality in self.modalities if modality != RGB]
         paths = {
@@ -230,14 +238,17 @@ class _TransformsReader:
         }
         if first is None:
             return paths
+        flag = frame.get("is_thermal")
+        if json_value(bool | int | None, flag, f"is_thermal of {what}", self.file) is not None:
+            return {THERMAL if flag else RGB: first, **paths}
         for modality in others:
-            if modality not in paths and first.parent.name.casefold() == modality.name:
+            if modality not in paths and first.parent.name.casefold() in _folders(modality):
                 return {modality: first, **paths}
         found = {RGB: first, **paths}
         for modality in others:
-            path = self.images.find(f"{modality}/{first.name}", self.file)
-            if modality not in found and path is not None:
-                found[modality] = path
+            for folder in () if modality in found else _folders(modality):
+                if path := self.images.find(f"{folder}/{first.name}", self.file):
+                    found.setdefault(modality, path)
         return {modality: found[modality] for modality in self.modalities if modality in found}
 
     def _path(self, frame: Mapping[str, Any], name: str, what: str) -> Path | None:

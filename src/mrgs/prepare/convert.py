@@ -54,7 +54,7 @@ IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
 VIEWS, CONTENTS = "photos", "contents.json"
 """Names in the cache: the folder of the pairs' results, and the file with digests of the photos."""
 
-_VERSION = 10
+_VERSION = 11
 """Raise it when the same photos give other images or facts."""
 
 Orientations = Mapping[Modality, int]

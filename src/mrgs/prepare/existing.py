@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
@@ -38,7 +38,8 @@ def existing_poses(
     pairs: Sequence[PhotoPair] = (),
     two_cameras: bool = True,
 ) -> Reconstruction:
-    """The poses in a folder for images with the same names (extensions and folders may differ).
+    """The poses in a folder for images with the same names (extensions may differ, and folders
+    where names without them tell the images apart).
 
     The folder has a ``transforms.json`` with its images, or a COLMAP model. Where an image is
     larger or smaller than the one in the file, the lens is scaled. SceneError if no poses are
@@ -52,26 +53,24 @@ def existing_poses(
         two_cameras: whether there is a thermal camera to be found, which needs points.
     """
     given, cloud, file, notes, world = _read(folder)
-    counts = Counter(pose.name for pose in given)
-    if several := sorted(name for name, count in counts.items() if count > 1):
+    photos = {pair.name: _first(pair.photos).with_suffix("").parts for pair in pairs}
+    tries = [photos] if photos.keys() >= images.keys() else []
+    if not tries or len({path[-1] for path in photos.values()}) < len(photos):
+        tries.append({name: (name,) for name in images})
+    poses, several = max((_matched(each, given) for each in tries), key=lambda each: len(each[0]))
+    if several:
         raise scene_error(
             folder,
-            f"has several poses named {', '.join(several[:3])}; give each photo a name of its own "
-            f"in it",
+            f"has several poses named {', '.join(several[:3])}; name them in it like the photos, "
+            f"with their folders",
         )
-    originals = {
-        pair.name: composed(_first(pair.photos).stem) for pair in pairs if pair.name in images
-    }
-    if len({*originals.values()}) < len(images):  # photos of several folders share a name
-        originals = {name: name for name in images}
-    by_name = {pose.name: pose for pose in given}
-    poses = {name: by_name[own] for name, own in originals.items() if own in by_name}
     viewmats = {name: poses[name].viewmat for name in images if name in poses}
     if len(viewmats) < MIN_VIEWS:
+        like = ", ".join(sorted(pose.name for pose in given)[:3])
         raise scene_error(
             folder,
             f"{len(viewmats)} of {len(images)} photos have a pose of their name there, and "
-            f"{MIN_VIEWS} are needed; the names there are like {', '.join(sorted(by_name)[:3])}: "
+            f"{MIN_VIEWS} are needed; the names there are like {like}: "
             f"give the poses of these photos",
         )
     warnings = tuple(notes.repaired)
@@ -94,11 +93,39 @@ def existing_poses(
     )
 
 
+def _matched(
+    photos: Mapping[str, tuple[str, ...]], given: Sequence[RegisteredImage]
+) -> tuple[dict[str, RegisteredImage], list[str]]:
+    """The pose of each photo: the one whose path has the longest end in common with the photo's, if
+    no other photo has that end, and with its folder, if names without folders repeat; and the ends
+    that several poses have."""
+    poses = defaultdict[tuple[str, ...], list[RegisteredImage]](list)
+    for pose in given:
+        parts = _parts(pose.name)
+        for start in range(len(parts)):
+            poses[parts[start:]].append(pose)
+    repeat = any(len(end) == 1 and len(same) > 1 for end, same in poses.items())
+    ends = {
+        name: [tuple(map(composed, path[at:])) for at in range(len(path))]
+        for name, path in photos.items()
+    }
+    shared = Counter(end for each in ends.values() for end in each)
+    found, several = dict[str, RegisteredImage](), set[str]()
+    for name, each in ends.items():
+        end = next((end for end in each if end in poses), ())
+        same = poses.get(end, [])
+        if len(same) > 1:
+            several.add("/".join(end))
+        elif same and shared[end] == 1 and len(end) >= min(1 + repeat, len(_parts(same[0].name))):
+            found[name] = same[0]
+    return found, sorted(several)
+
+
 def _read(
     folder: Path,
 ) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes, WorldFrame]:
-    """Poses by the names of their images without folders and extension, points, the name of the
-    file, what was repaired, and what is known of the world."""
+    """Poses by the names of their images, points, the name of the file, what was repaired, and what
+    is known of the world."""
     if folder.is_dir():
         root = folder.resolve()
         file = find_transforms(root)
@@ -110,7 +137,7 @@ def _read(
     if file is not None:
         source = read_transforms(root, file)
         firsts = [(view.key, _first(view.images)) for view in source.views]
-        poses = [RegisteredImage(_stem(key), image.lens, image.viewmat) for key, image in firsts]
+        poses = [RegisteredImage(key, image.lens, image.viewmat) for key, image in firsts]
         return poses, source.points, file.name, source.notes, source.world
     notes = ReadingNotes()
     model = largest_model(root, notes) or find_model(root, ["."])
@@ -120,12 +147,8 @@ def _read(
             folder,
             f"holds no poses; looked for transforms.json, {looked_for}; give the folder with one",
         )
-    poses = [
-        RegisteredImage(_stem(image.name), image.lens, image.viewmat)
-        for image in read_images(model)
-    ]
     points = point_cloud(*read_points3d(model), notes)
-    return poses, points, model.file("images").name, notes, WorldFrame()
+    return read_images(model), points, model.file("images").name, notes, WorldFrame()
 
 
 def _first(images: Mapping[Modality, Item]) -> Item:
@@ -133,8 +156,8 @@ def _first(images: Mapping[Modality, Item]) -> Item:
     return images[in_order(images)[0]]
 
 
-def _stem(name: str) -> str:
-    return composed(without_image_suffix(PurePosixPath(name.replace("\\", "/")).name))
+def _parts(path: str) -> tuple[str, ...]:
+    return PurePosixPath(composed(without_image_suffix(path.replace("\\", "/")))).parts
 
 
 def _scaled(lens: Lens, path: Path, size: tuple[int, int]) -> Lens:

@@ -315,3 +315,18 @@ def test_a_directory_without_end(save):
     record[0x1C:0x20] = b"\x7f\xff\xff\xff"
     with pytest.raises(SceneError, match="2147483647 parts"):
         read_thermal_photo(save("a.jpg", FlirPhoto().jpeg(bytes(record))))
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("between", [b"", bytes(100)])
+def test_a_recording_is_refused(save, order, between):
+    record = FlirPhoto(order=order).record() + between
+    with pytest.raises(SceneError, match="recording of 4 frames; export the frames"):
+        read_thermal_photo(save("a.seq", 4 * record))
+    assert read_thermal_photo(save("a.seq", record)).temperature_c is not None
+
+
+def test_a_mark_within_a_photo_is_no_second_frame(save):
+    raw = FlirPhoto().raw.copy()
+    raw.view(np.uint8)[3, 4:8] = list(b"FFF\0")
+    assert read_thermal_photo(save("a.fff", FlirPhoto(raw=raw).record())).valid.any()

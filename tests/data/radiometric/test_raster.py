@@ -251,3 +251,35 @@ def test_bounds_for_other_integers(save):
         read_thermal_photo(
             save("a.tif", np.full((3, 4), -5, dtype=np.int16)), Overrides(bounds_c=(0, 50))
         )
+
+
+def float_page(at: float = 0.0) -> Image.Image:
+    return Image.fromarray(SCENE_C + np.float32(at))
+
+
+def test_a_recording_is_refused(tmp_path):
+    path = tmp_path / "a.tif"
+    float_page().save(path, save_all=True, append_images=[float_page(1), float_page(2)])
+    with pytest.raises(SceneError, match="recording of 3 frames; export the frames"):
+        read_thermal_photo(path)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        Image.new("RGB", (30, 20)),
+        Image.new("L", (30, 20)),
+        Image.new("1", (30, 20)),
+        float_page().resize((15, 10)),
+        None,
+    ],
+    ids=["preview", "grey preview", "mask", "smaller copy", "damaged page"],
+)
+def test_pages_beside_the_photo(tmp_path, other):
+    path = tmp_path / "a.tif"
+    float_page().save(path, save_all=True, append_images=[other or float_page(1)])
+    if other is None:
+        path.write_bytes(path.read_bytes()[: -SCENE_C.nbytes - 100])
+    photo = read_thermal_photo(path)
+    np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=1e-4)
+    assert photo.facts.warnings == ()

@@ -90,6 +90,13 @@ ROWS_HOT = "290;310;280\n285;281;300\n"
         ("Temperature in F\n" + ROWS_F, 20.0),
         ("[F]\n" + ROWS_F, 20.0),
         ("Temp \u2109\n" + ROWS_F, 20.0),
+        ("Emissivity,0.95,Temperature Unit,Fahrenheit\n" + ROWS_F, 20.0),
+        ("2024-01-01 10:00:00;Units: degrees Fahrenheit\n" + ROWS_F, 20.0),
+        ("Emissivity;0,95;Unit;deg F\n" + ROWS_F, 20.0),
+        ("Emissivity,0.95,Unit,degF\n" + ROWS_F, 20.0),
+        ("Emissivity,0.95,Unit,Kelvin\n" + ROWS_HOT, 16.85),
+        ("Emissivity,0.95,Unit,Celsius\n" + ROWS_HOT, 290.0),
+        ("Unit: 0.01 Kelvin\n29000;31000;28000\n28500;28100;30000\n", 16.85),
         ("Image 3: temperatures in \u00b0F\n" + ROWS_F, 20.0),
         ("Reflected: 20 \u00b0C\nTemperature;\u00b0F\n" + ROWS_F, 20.0),
         ("File: F:\\a.jpg, data: 2\n" + ROWS_F, 68.0),
@@ -116,6 +123,9 @@ def test_a_unit_that_is_named_is_that_of_the_numbers(tmp_path, text, first_c):
         "Reflected temperature [°F];68",
         "Reflected temperature;68;°F",
         "Reflected 68 °F",
+        "2024-01-01 10:00:00, Fahrenheit",
+        "Reflected 68 deg F",
+        "Reflected 68 Fahrenheit",
     ],
 )
 def test_a_unit_of_a_setting_is_not_that_of_the_numbers(tmp_path, setting):

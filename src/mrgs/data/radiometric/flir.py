@@ -20,7 +20,7 @@ from mrgs.data.images import opened
 from mrgs.data.radiometric.exif import JPEG_SIGNATURE, ExifFacts, clean_text, flir_record, read_exif
 from mrgs.data.radiometric.measurement import MAX_TRANSMISSION, Measurement, object_temperature
 from mrgs.data.radiometric.photo import Alignment, Overrides, PhotoFacts, ThermalPhoto, VisibleImage
-from mrgs.data.radiometric.raster import finished
+from mrgs.data.radiometric.raster import finished, recording
 from mrgs.data.radiometric.units import WIRIS_UNITS
 from mrgs.errors import SceneError, scene_error
 from mrgs.scene.air import Atmosphere
@@ -69,6 +69,8 @@ def read_flir(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     is_jpeg = data.startswith(JPEG_SIGNATURE)
     record = (flir_record(data, path) if is_jpeg else None) or data
     records, exif = Records(record, path), read_exif(data) if is_jpeg else ExifFacts()
+    if not is_jpeg and (more := data.count(data[:4], records.end)):
+        raise recording(path, 1 + more)
     info = RecordFields.of(records.require(CAMERA_INFO, "camera info with the Planck constants"))
     if info is None:
         raise scene_error(path, "its camera info is damaged; copy the photo from the camera again")
@@ -318,8 +320,8 @@ class RecordFields:
 
 
 class Records:
-    """The records of an FFF file by type; the first of each type counts, and free ones are left
-    out. SceneError if the header or the directory is damaged or cut off."""
+    """The records of an FFF file by type, and where they ``end``; the first of a type counts, and
+    free ones are left out. SceneError if header or directory are damaged or cut off."""
 
     def __init__(self, data: bytes, path: Path) -> None:
         self._data, self._path = data, path
@@ -339,9 +341,11 @@ class Records:
         if end > len(data):
             raise cut_off(path, "directory", len(data), end)
         self._places: dict[int, slice] = {}
+        self.end = end
         for start in range(offset, end, _ENTRY_BYTES):
             type_, at, length = struct.unpack_from(f"{order}H10xII", data, start)
             if type_ != 0:
+                self.end = max(self.end, at + length)
                 self._places.setdefault(type_, slice(at, at + length))
 
     def get(self, type_: int) -> bytes | None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Float32
+from PIL.TiffImagePlugin import TiffImageFile
 
 from mrgs.data.images import LUMINANCE, as_stored, holds_numbers, numbers_of, opened
 from mrgs.data.radiometric.exif import read_exif
@@ -20,7 +23,7 @@ from mrgs.data.radiometric.units import (
     stated_unit,
     typical,
 )
-from mrgs.errors import scene_error
+from mrgs.errors import SceneError, scene_error
 
 _GREY_TOLERANCE = 8
 """Channels that differ by at most this many of 255 steps are one shade, saved as a colour JPEG."""
@@ -37,6 +40,8 @@ _RELATIVE = "relative values from 0 to 1 are used"
 def read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     """The photo in an image file, given its content. SceneError if it is damaged, of an unknown
     scale, or given bounds without being grey."""
+    if (frames := _frames(data, path)) > 1:
+        raise recording(path, frames)
     with opened(path, data) as image:
         kind, mode, xmp = str(image.format), image.mode, image.info.get("xmp", b"")
         has_numbers = holds_numbers(image)
@@ -71,6 +76,25 @@ def read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     if overrides.unit is None:
         candidates, is_stated = camera_units(exif.make, exif.model, xmp, path)
     return finished(values, candidates, path, facts, overrides, is_stated)
+
+
+def _frames(data: bytes, path: Path) -> int:
+    """The number of pages of a TIFF, up to a thousand, if all are of one size and type; else 1, as
+    with a preview, a mask or smaller copies."""
+    pages = []
+    with warnings.catch_warnings(), opened(path, data) as image, suppress(Exception):
+        warnings.simplefilter("ignore")  # of a damaged page, which ends them as the last does
+        for number in range(1000 if isinstance(image, TiffImageFile) else 0):
+            image.seek(number)
+            pages.append((image.mode, image.size))
+    return len(pages) if len({*pages}) == 1 else 1
+
+
+def recording(path: Path, frames: int) -> SceneError:
+    """The error of a file that holds several photos."""
+    return scene_error(
+        path, f"is a recording of {frames} frames; export the frames as files of their own"
+    )
 
 
 def finished(

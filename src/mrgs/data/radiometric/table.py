@@ -69,7 +69,7 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     values[values == SATURATED] = np.nan
     in_cells = {f"unit {letter}" for line in rows for letter in _UNIT_BEHIND.findall(line)}
     named = units.units_named([*in_cells] or [*beside, table.rows[0][0]])
-    if not (named or overrides.unit) and "°F" in "".join(beside):
+    if not (named or overrides.unit) and units.FAHRENHEIT.search("\n".join(beside)):
         doubts.append("A setting is in °F, but the unit of the temperatures is not named: give it.")
     is_plain = (values % 1 > 0).any() or units.everyday(units.FLOAT_UNITS, units.typical(values))
     candidates = named or (units.FLOAT_UNITS if is_plain else units.INTEGER_UNITS)

@@ -43,11 +43,15 @@ _MENTIONED = (
 )
 """How texts mention a unit."""
 
-_STATED = re.compile(r"(?i)\bunits?[\s\"':=;,(\[]*(?:(0[.,]\d{0,3}[1-9])[\s*]*)?(?:°\s*)?([CFK])\b")
+_UNIT = r"(?:(?:°|[Dd]eg(?:rees?)?)[\s.]*)?([CFK])(?:elsius|ahrenheit|elvin)?\b"
+_STATED = re.compile(rf"(?i)\bunits?[\s\"':=;,(\[]*(?:(0[.,]\d{{0,3}}[1-9])[\s*]*)?{_UNIT}")
 """How texts state that it is the unit of the numbers, or a decimal fraction of it."""
 
-_SETTING = re.compile(r"(?:^|[;,:=\t])[ \"']*[+-]?\d|\d *(?:° *)?[CFK]\b")
+_SETTING = re.compile(rf"(?:^|[;,:=\t])[ \"']*[+-]?\d|\d *{_UNIT}")
 """A line with a number of its own: a unit in it is that of a setting."""
+
+FAHRENHEIT = re.compile(r"(?i)(?:°|\bdeg(?:rees?)?[\s.]*)F\b|\bfahrenheit\b")
+"""How texts mention °F, of whatever."""
 
 
 class Unit(NamedTuple):
