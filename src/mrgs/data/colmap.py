@@ -409,10 +409,8 @@ def _match(
     found: Registered = {}
     for image in registered:
         folder = PurePosixPath(image.name).parts[:1]
-        for each in sorted(
-            images,
-            key=lambda each: (each.key_of(image.name, True) is None, (each.folder,) != folder),
-        ):
+        in_folder = sorted(images, key=lambda each: (each.folder,) != folder)
+        for each in sorted(in_folder, key=lambda each: each.key_of(image.name, True) is None):
             key = each.key_of(image.name)
             if key is not None:
                 name = PurePosixPath(image.name).name

@@ -53,7 +53,9 @@ def existing_poses(
         two_cameras: whether there is a thermal camera to be found, which needs points.
     """
     given, cloud, file, notes, world = _read(folder)
-    photos = {pair.name: _first(pair.photos).with_suffix("").parts for pair in pairs}
+    photos = {
+        pair.name: tuple(map(composed, _first(pair.photos).with_suffix("").parts)) for pair in pairs
+    }
     tries = [photos] if photos.keys() >= images.keys() else []
     if not tries or len({path[-1] for path in photos.values()}) < len(photos):
         tries.append({name: (name,) for name in images})
@@ -70,8 +72,7 @@ def existing_poses(
         raise scene_error(
             folder,
             f"{len(viewmats)} of {len(images)} photos have a pose of their name there, and "
-            f"{MIN_VIEWS} are needed; the names there are like {like}: "
-            f"give the poses of these photos",
+            f"{MIN_VIEWS} are needed; names there are like {like}: give the poses of these photos",
         )
     warnings = tuple(notes.repaired)
     if cloud is None and two_cameras:
@@ -105,10 +106,7 @@ def _matched(
         for start in range(len(parts)):
             poses[parts[start:]].append(pose)
     repeat = any(len(end) == 1 and len(same) > 1 for end, same in poses.items())
-    ends = {
-        name: [tuple(map(composed, path[at:])) for at in range(len(path))]
-        for name, path in photos.items()
-    }
+    ends = {name: [path[at:] for at in range(len(path))] for name, path in photos.items()}
     shared = Counter(end for each in ends.values() for end in each)
     found, several = dict[str, RegisteredImage](), set[str]()
     for name, each in ends.items():

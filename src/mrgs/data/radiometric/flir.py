@@ -20,7 +20,7 @@ from mrgs.data.images import opened
 from mrgs.data.radiometric.exif import JPEG_SIGNATURE, ExifFacts, clean_text, flir_record, read_exif
 from mrgs.data.radiometric.measurement import MAX_TRANSMISSION, Measurement, object_temperature
 from mrgs.data.radiometric.photo import Alignment, Overrides, PhotoFacts, ThermalPhoto, VisibleImage
-from mrgs.data.radiometric.raster import finished, recording
+from mrgs.data.radiometric.raster import finished, refuse_recording
 from mrgs.data.radiometric.units import WIRIS_UNITS
 from mrgs.errors import SceneError, scene_error
 from mrgs.scene.air import Atmosphere
@@ -69,8 +69,7 @@ def read_flir(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     is_jpeg = data.startswith(JPEG_SIGNATURE)
     record = (flir_record(data, path) if is_jpeg else None) or data
     records, exif = Records(record, path), read_exif(data) if is_jpeg else ExifFacts()
-    if not is_jpeg and (more := data.count(data[:4], records.end)):
-        raise recording(path, 1 + more)
+    refuse_recording(1 if is_jpeg else 1 + data.count(data[:4], records.end), path)
     info = RecordFields.of(records.require(CAMERA_INFO, "camera info with the Planck constants"))
     if info is None:
         raise scene_error(path, "its camera info is damaged; copy the photo from the camera again")

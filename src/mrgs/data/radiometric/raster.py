@@ -23,7 +23,7 @@ from mrgs.data.radiometric.units import (
     stated_unit,
     typical,
 )
-from mrgs.errors import SceneError, scene_error
+from mrgs.errors import scene_error
 
 _GREY_TOLERANCE = 8
 """Channels that differ by at most this many of 255 steps are one shade, saved as a colour JPEG."""
@@ -40,8 +40,7 @@ _RELATIVE = "relative values from 0 to 1 are used"
 def read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     """The photo in an image file, given its content. SceneError if it is damaged, of an unknown
     scale, or given bounds without being grey."""
-    if (frames := _frames(data, path)) > 1:
-        raise recording(path, frames)
+    refuse_recording(_frames(data, path), path)
     with opened(path, data) as image:
         kind, mode, xmp = str(image.format), image.mode, image.info.get("xmp", b"")
         has_numbers = holds_numbers(image)
@@ -90,11 +89,11 @@ def _frames(data: bytes, path: Path) -> int:
     return len(pages) if len({*pages}) == 1 else 1
 
 
-def recording(path: Path, frames: int) -> SceneError:
-    """The error of a file that holds several photos."""
-    return scene_error(
-        path, f"is a recording of {frames} frames; export the frames as files of their own"
-    )
+def refuse_recording(frames: int, path: Path) -> None:
+    """SceneError if a file holds several photos."""
+    if frames > 1:
+        what = f"is a recording of {frames} frames"
+        raise scene_error(path, f"{what}; export the frames as files of their own")
 
 
 def finished(
