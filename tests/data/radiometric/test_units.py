@@ -118,6 +118,14 @@ def test_a_guess_is_a_warning_with_two_alternatives(tiff):
     assert warning.count(" °C)") == 3
 
 
+@pytest.mark.parametrize("highest", [1, 2])
+def test_numbers_from_0_to_1_may_be_no_temperatures(tiff, highest):
+    values = np.linspace(0, highest, 600, dtype=np.float32).reshape(20, 30)
+    doubts = read_thermal_photo(tiff(values)).facts.warnings
+    assert ["from 0 to 1" in doubt for doubt in doubts] == ([True] if highest == 1 else [])
+    assert read_thermal_photo(tiff(values), Overrides(unit="celsius")).facts.warnings == ()
+
+
 @pytest.mark.parametrize("unit", INTEGER_UNITS)
 def test_no_unit_is_taken_for_another_in_silence(tiff, unit):
     """Numbers without tags are asked for, or right; each guess is told."""

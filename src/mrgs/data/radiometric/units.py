@@ -151,7 +151,8 @@ def guessed_unit(
     candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"], path: Path
 ) -> Choice:
     """The one unit in which ``typical`` numbers are everyday temperatures, with a doubt unless it
-    is °C as such. SceneError if there is no number, no candidate fits, or more than one does."""
+    is °C as such, and not all from 0 to 1. SceneError if there is no number, no candidate fits, or
+    more than one does."""
     if np.isnan(numbers).any():
         raise scene_error(path, "has no number but 0; it is empty, export it again")
     likely = everyday(candidates, numbers)
@@ -167,6 +168,8 @@ def guessed_unit(
         )
     (text,) = likely
     doubts = () if text == "celsius" else (_doubt(text, candidates, numbers),)
+    if text == "celsius" and numbers[0] >= 0 and numbers[2] <= 1:
+        doubts = ("The numbers are from 0 to 1 and taken for °C: give the unit if they are.",)
     return Choice(Unit.parse(text), text, doubts)
 
 
