@@ -156,8 +156,8 @@ def test_both_cameras_of_which_one_is_registered(writer, rgb, thermal, root):
     assert all(view.shares_camera(RGB, THERMAL) for view in scene.train + scene.eval)
 
 
-def test_images_told_apart_by_words_need_no_partner(writer):
-    names = ["front_1.png", "front_2.png", "thermal_1.png", "thermal_7.png"]
+def test_images_in_folders_of_two_cameras_need_no_partner(writer):
+    names = ["rgb/front_1.png", "rgb/front_2.png", "thermal/1.png", "thermal/7.png"]
     for index, name in enumerate(names):
         writer.image(f"images/{name}", seed=index)
     writer.colmap(names, binary=True)
@@ -165,6 +165,16 @@ def test_images_told_apart_by_words_need_no_partner(writer):
     held = {view.name: tuple(view.images) for view in scene.train + scene.eval}
     assert held == {"front_1": (RGB,), "front_2": (RGB,), "1": (THERMAL,), "7": (THERMAL,)}
     assert any("told apart" in note for note in scene.notes)
+
+
+@pytest.mark.parametrize("names", [["thermal_bath", "street_1"], ["IR/1", "hall/7"]])
+def test_words_in_the_names_of_one_camera_tell_nothing(writer, names):
+    for index, name in enumerate(names):
+        writer.image(f"images/{name}.png", seed=index)
+    writer.colmap([f"{name}.png" for name in names], binary=True)
+    scene = load_scene(writer.root)
+    assert scene.modalities == (RGB,)
+    assert len(scene.train + scene.eval) == len(names)
 
 
 @pytest.mark.parametrize(

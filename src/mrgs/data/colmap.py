@@ -14,6 +14,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
@@ -378,13 +379,15 @@ def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list
         return images if is_paired else [each.without_words() for each in images]
     own = images[0].files
     is_thermal = {key: _THERMAL_WORD.search(key) is not None for key in own}
-    if len({*is_thermal.values()}) == 2:
+    parts = [
+        _Images(modality, images[0].folder, files, {key: key for key in files}).without_words()
+        for modality in FOLDERS
+        if (files := {key: own[key] for key in own if is_thermal[key] == (modality == THERMAL)})
+    ]
+    of_cameras = {key.partition("/")[0].lower() for key in own} <= {*chain(*FOLDERS.values())}
+    if len(parts) == 2 and (of_cameras or parts[0].files.keys() & parts[1].files.keys()):
         notes.decide(f"Images in {images[0].folder}/ are told apart by names like thermal.")
-        return [
-            _Images(modality, images[0].folder, files, {key: key for key in files}).without_words()
-            for modality in FOLDERS
-            if (files := {key: own[key] for key in own if is_thermal[key] == (modality == THERMAL)})
-        ]
+        return parts
     has_bounds = any(is_file(root / on_disk(root, bounds)) for bounds in BOUNDS_FILES)
     first = next(iter(images[0].files.values()))
     if has_bounds or all(probe(path).kind != "colour" for path in images[0].files.values()):

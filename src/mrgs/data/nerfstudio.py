@@ -239,8 +239,9 @@ class _TransformsReader:
         if first is None:
             return paths
         flag = frame.get("is_thermal")
-        if json_value(bool | int | None, flag, f"is_thermal of {what}", self.file) is not None:
-            return {THERMAL if flag else RGB: first, **paths}
+        json_value(bool | float | None, flag, f"is_thermal of {what}", self.file)
+        if not paths and flag is not None:
+            return {THERMAL if flag else RGB: first}
         for modality in others:
             if modality not in paths and first.parent.name.casefold() in _folders(modality):
                 return {modality: first, **paths}

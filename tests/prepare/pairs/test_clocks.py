@@ -83,6 +83,13 @@ def test_clocks_that_differ_by_an_interval_are_not_taken_for_in_step(offset_s, g
     assert right >= found
 
 
+def test_of_offsets_with_as_many_pairs_the_evener_one_is_taken():
+    rng = np.random.default_rng(0)
+    thermal = np.cumsum(5 + rng.uniform(-0.2, 0.2, 60))
+    rgb = np.sort(rng.choice(thermal, 45, replace=False)) + 3
+    assert clock_offset(rgb.tolist(), thermal.tolist(), 1.0).seconds == pytest.approx(3.0)
+
+
 def test_photos_at_regular_times_may_be_shifted():
     thermal = [5.0 * index for index in range(12)]
     found = clock_offset([time + 1002.4 for time in thermal], thermal, 2.0)

@@ -387,13 +387,29 @@ def test_every_table_that_is_read_counts(photos, table):
 
 
 @pytest.mark.parametrize(
-    "head", [b"file,lat,lon,alt,a,b,c,d,e", b"SourceFile;GPS Latitude;GPS Longitude;b;c;d;e;f;g"]
+    "head",
+    [
+        b"file,lat,lon,alt,a,b,c,d,e",
+        b"SourceFile;GPS Latitude;GPS Longitude;b;c;d;e;f;g",
+    ],
 )
 def test_a_list_of_positions_is_no_photo(photos, head):
     rows = [b"IMG_1.tif,46.1,11.2,230,1,2,3,4,5"] * 20
     found = find_pairs(photos({"a.tif": "celsius", "geo.csv": b"\n".join([head, *rows])}))
     assert [pair.photos[THERMAL].name for pair in found.pairs] == ["a.tif"]
     assert_left_out(found, {"geo.csv": "list of positions"})
+
+
+def test_control_points_are_no_photo(photos):
+    root = photos({"thermal/a.png": "png", "gcp.csv": b"Name,X,Y,Z\nP1,3.5,4.5,0.1\n"})
+    assert files(root, find_pairs(root)) == [(None, "thermal/a.png")]
+
+
+def test_previews_of_other_names_are_no_rgb_photos(photos):
+    content = {"thermal/1.tif": "celsius", "thermal/1_preview.jpg": "jpg"}
+    root = photos(content | {"thermal/2.tif": "celsius", "thermal/2_preview.jpg": "jpg"})
+    found = find_pairs(root)
+    assert all(pair.photos.keys() == {THERMAL} for pair in found.pairs)
 
 
 def test_the_best_of_several_thermal_files(photos):

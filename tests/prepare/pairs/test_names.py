@@ -33,6 +33,8 @@ from mrgs.scene import RGB, THERMAL
         ("0001_ir_celsius", "0001", THERMAL, "celsius"),
         ("MAX_0001_IR", "0001", THERMAL, "ir"),
         ("zoom_0001_ir", "zoom_0001", THERMAL, "ir"),
+        ("20240131T120000_T", "20240131T120000", THERMAL, "t"),
+        ("20240131T120000V", "20240131T120000", RGB, "v"),
         ("ir_20240131T120000Z", "20240131T120000Z", THERMAL, "ir"),
         ("20180101_101010_101_8b", "20180101_101010_101", THERMAL, "8b"),
         ("thermal", "", THERMAL, "thermal"),

@@ -78,15 +78,15 @@ def read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
 
 
 def _frames(data: bytes, path: Path) -> int:
-    """The number of pages of a TIFF, up to a thousand, if all are of one size and type; else 1, as
-    with a preview, a mask or smaller copies."""
+    """The number of pages of a TIFF, up to a thousand, if three or more are all of one size and
+    type; else 1, as with a preview, a mask or smaller copies."""
     pages = []
     with warnings.catch_warnings(), opened(path, data) as image, suppress(Exception):
         warnings.simplefilter("ignore")  # of a damaged page, which ends them as the last does
         for number in range(1000 if isinstance(image, TiffImageFile) else 0):
             image.seek(number)
             pages.append((image.mode, image.size))
-    return len(pages) if len({*pages}) == 1 else 1
+    return len(pages) if len(pages) > 2 and len({*pages}) == 1 else 1
 
 
 def refuse_recording(frames: int, path: Path) -> None:

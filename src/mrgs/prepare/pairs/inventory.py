@@ -150,7 +150,7 @@ def _table(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     is_wide = any(
         numbers_in(line.split()) >= _TABLE_COLUMNS
         or any(line.count(sign) >= _TABLE_COLUMNS - 1 for sign in ";\t,")
-        or columns_of(line, 3)
+        or (len(re.split(r"[;,\t]", line)) == 3 and columns_of(line, 3))
         for line in lines
     )
     return Photo(path, origin, "table") if is_wide else "is no photo"

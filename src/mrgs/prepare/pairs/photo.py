@@ -45,7 +45,7 @@ PARTNER_MARKS = ("w", "wide", "v", "vis", "visible", "rgb", "", "z", "zoom")
 """Camera suffixes by preference among RGB photos of a moment: wide ones cover the thermal image."""
 
 _LAST_LETTER = re.compile(
-    r"(?:(?<=\d)(?<!T\d{6})[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE
+    r"(?:(?<=\d)(?!(?<=T\d{6})z$)[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE
 )
 """After a number any of these letters, but for the Z of ``20240131T120000Z``; after a word only T:
 ``house_w`` may be the west side."""
@@ -210,10 +210,10 @@ def candidate_by_folder(photo: Photo) -> Candidate:
 def told_apart(photos: Sequence[Photo], root_name: str) -> list[Photo]:
     """The photos, which know if they are of the reference modality. The name of the folder of all
     photos counts where nothing else says what any of them is: a folder of both cameras' photos may
-    be called "thermal survey", and so may one below it: half as many plain images or more, of
-    other stems, are RGB photos there unless their names say something else."""
-    stems = {photo.origin for photo in photos if photo.is_thermal}
-    others = [photo for photo in photos if photo.origin not in stems]
+    be called "thermal survey", and so may one below it: half as many plain images or more, whose
+    names do not begin like theirs, are RGB photos there unless their names say something else."""
+    stems = {str(photo.origin) for photo in photos if photo.is_thermal}
+    others = [photo for photo in photos if not _begins_with_one_of(str(photo.origin), stems)]
     thermal, plain = (Counter(photo.origin.parent for photo in group) for group in (
         [photo for photo in photos if photo.is_thermal], others,
     ))  # fmt: skip
@@ -230,6 +230,10 @@ def told_apart(photos: Sequence[Photo], root_name: str) -> list[Photo]:
         replace(photo, is_reference=modality == REFERENCE)
         for photo, modality in zip(photos, found, strict=True)
     ]
+
+
+def _begins_with_one_of(text: str, beginnings: set[str]) -> bool:
+    return any(text[:length] in beginnings for length in range(1, len(text) + 1))
 
 
 def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:

@@ -378,34 +378,30 @@ def clock_offset(
     ascending times; 0 where that is nearly as good. What the pairs are apart must not vary by much
     more than with another offset, as it does where all are shifted by one photo."""
     first, second = np.asarray(first_s, np.float64), np.asarray(second_s, np.float64)
-    in_step = ClockOffset(0.0, _count(first, second, tolerance_s))
     smaller = min(len(first), len(second))
     if smaller < _FEWEST:
-        return in_step
+        return ClockOffset(0.0, len(_apart(first, second, tolerance_s)))
     windows_s = (0.5, max(tolerance_s, 0.5))
     tried = {s for window_s in windows_s for s in _frequent_differences(first, second, window_s)}
-    found = [ClockOffset(s, _count(first - s, second, tolerance_s)) for s in sorted(tried, key=abs)]
-    most = max(one.pairs for one in [in_step, *found])
+    tests = []
+    for seconds in (0.0, *sorted(tried - {0.0})):
+        apart = _apart(first - seconds, second, tolerance_s)
+        spread = float(np.abs(apart - np.median(apart)).mean()) if len(apart) else np.inf
+        tests.append((ClockOffset(seconds, len(apart)), spread))
+    in_step = tests[0][0]
+    most = max(one.pairs for one, _ in tests)
     if most < max(_FEWEST, smaller / 2):
         return in_step
-    found = [one for one in [in_step, *found] if one.pairs >= _NEARLY * most]
-    spreads = [_spread_s(first - one.seconds, second, tolerance_s) for one in found]
-    highest = 2 * min(spreads) + _CLOCK_S
-    found = [one for one, spread in zip(found, spreads, strict=True) if spread <= highest]
-    best = found[0] if found[0] == in_step else max(found, key=lambda one: one.pairs)
-    far = [one for one in found if abs(one.seconds - best.seconds) > windows_s[1]]
-    rival = max(far, key=lambda one: one.pairs, default=best)
-    is_doubt = rival.pairs > best.pairs or best != in_step != rival
-    return ClockOffset(best.seconds, best.pairs, rival if is_doubt and rival != best else None)
-
-
-def _spread_s(
-    first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], tolerance_s: float
-) -> float:
-    """Mean absolute deviation of what the photos of a pair are apart, from its median, seconds."""
-    pairs = match_times(first.tolist(), second.tolist(), tolerance_s)
-    apart = np.array([first[i] - second[j] for i, j in pairs])
-    return float(np.abs(apart - np.median(apart)).mean())
+    tests = [(one, spread) for one, spread in tests if one.pairs >= _NEARLY * most]
+    highest = 2 * min(spread for _, spread in tests) + _CLOCK_S
+    tests = [(one, spread) for one, spread in tests if spread <= highest]
+    tests.sort(key=lambda each: (each[0] is not in_step, -each[0].pairs, each[1]))
+    best = tests[0][0]
+    far = [one for one, _ in tests if abs(one.seconds - best.seconds) > windows_s[1]]
+    rival = max(far, key=lambda one: one.pairs, default=None)
+    if rival is not None and best is in_step and rival.pairs <= best.pairs:
+        rival = None  # clocks that may be in step are not doubted for less
+    return ClockOffset(best.seconds, best.pairs, rival)
 
 
 def _frequent_differences(
@@ -417,7 +413,7 @@ def _frequent_differences(
     counts = ends - np.arange(len(differences))
     centres: list[float] = []
     for start in np.argsort(-counts, kind="stable")[:_LOOKED_AT]:
-        centre = float(np.median(differences[start : ends[start]]))
+        centre = float(differences[(start + ends[start]) // 2])  # the median, as they are sorted
         if all(abs(centre - other) > window_s / 2 for other in centres):
             centres.append(centre)
         if len(centres) == _TRIED:
@@ -425,17 +421,21 @@ def _frequent_differences(
     return centres
 
 
-def _count(
+def _apart(
     first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], tolerance_s: float
-) -> int:
-    """How many pairs there can be: with sorted times, taking the first that fits is best."""
-    i = j = pairs = 0
-    while i < len(first) and j < len(second):
-        apart = first[i] - second[j]
+) -> Float64[np.ndarray, " pairs"]:
+    """How far apart the photos of as many pairs as there can be were taken: with sorted times,
+    taking the first that fits is best."""
+    i = j = 0
+    found: list[float] = []
+    ours, theirs = first.tolist(), second.tolist()
+    while i < len(ours) and j < len(theirs):
+        apart = ours[i] - theirs[j]
         if abs(apart) <= tolerance_s:
-            i, j, pairs = i + 1, j + 1, pairs + 1
+            i, j = i + 1, j + 1
+            found.append(apart)
         elif apart < 0:
             i += 1
         else:
             j += 1
-    return pairs
+    return np.array(found)
