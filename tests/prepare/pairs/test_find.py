@@ -355,9 +355,10 @@ def test_a_preview_of_the_temperatures_is_no_rgb_photo(photos, numbers, preview,
     assert_left_out(found, {preview: f"taken from {numbers}"})
 
 
-def test_a_folder_of_both_cameras_may_be_called_thermal(photos):
+@pytest.mark.parametrize("rgb_name", ["IMG_{}", "T1{}"])
+def test_a_folder_of_both_cameras_may_be_called_thermal(photos, rgb_name):
     thermal = {f"thermal 1/T{i}.tif": ("celsius", at(60 * i)) for i in range(4)}
-    rgb = {f"thermal 1/IMG_{i + 7}.jpg": ("jpg", at(60 * i)) for i in range(4)}
+    rgb = {f"thermal 1/{rgb_name.format(i)}.jpg": ("jpg", at(60 * i)) for i in range(4)}
     root = photos(thermal | rgb)
     found = find_pairs(root)
     assert files(root, found) == list(zip(rgb, thermal, strict=True))

@@ -233,7 +233,9 @@ def told_apart(photos: Sequence[Photo], root_name: str) -> list[Photo]:
 
 
 def _begins_with_one_of(text: str, beginnings: set[str]) -> bool:
-    return any(text[:length] in beginnings for length in range(1, len(text) + 1))
+    """Whether it is one of them, or goes on with something else than a letter or a digit."""
+    ends = (at for at in range(1, len(text) + 1) if not text[at : at + 1].isalnum())
+    return any(text[:end] in beginnings for end in ends)
 
 
 def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:
