@@ -44,9 +44,16 @@ from mrgs.data.sources import (
 )
 from mrgs.data.transforms import RECORD
 from mrgs.errors import scene_error
-from mrgs.scene import RGB, THERMAL, EarthPosition, Modality, PointCloud, WorldFrame
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    EarthPosition,
+    Modality,
+    PointCloud,
+    WorldFrame,
+    known_modalities,
+)
 from mrgs.scene.lens import Lens
-from mrgs.scene.modality import known_modalities
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.system.typed_json import from_json, json_value
 from mrgs.system.wording import shown
@@ -246,10 +253,11 @@ class _TransformsReader:
             if modality not in paths and first.parent.name.casefold() in _folders(modality):
                 return {modality: first, **paths}
         found = {RGB: first, **paths}
-        for modality in others:
-            for folder in () if modality in found else _folders(modality):
-                if path := self.images.find(f"{folder}/{first.name}", self.file):
-                    found.setdefault(modality, path)
+        for modality in (each for each in others if each not in found):
+            named = (f"{folder}/{first.name}" for folder in _folders(modality))
+            tried = (self.images.find(name, self.file) for name in named)
+            if path := next(filter(None, tried), None):
+                found[modality] = path
         return {modality: found[modality] for modality in self.modalities if modality in found}
 
     def _path(self, frame: Mapping[str, Any], name: str, what: str) -> Path | None:

@@ -128,25 +128,24 @@ def convert_photos(
     contents = Digests(cache.folder / CONTENTS)
     units: dict[str, str] = {}  # of numbers, by suffix: guessed for the first photo
     outcomes: dict[str, _CachedPair] = {}
-    tried_with: dict[str, str | None] = {}
+    refused_without: list[tuple[str, PhotoPair]] = []  # a unit of their suffix
 
-    def convert(pair: PhotoPair) -> None:
-        suffix = pair.photos[THERMAL].suffix.lower()
-        unit = tried_with[pair.name] = units.get(suffix)
-        settings = _Settings(scene, overrides, unit, orientations)
+    def convert(suffix: str, pair: PhotoPair) -> None:
+        settings = _Settings(scene, overrides, units.get(suffix), orientations)
         outcome = outcomes[pair.name] = _cached(pair, settings, cache, contents)
-        if outcome.view and outcome.view.facts.unit is not None and overrides.bounds_c is None:
+        if outcome.view is None and suffix not in units:
+            refused_without.append((suffix, pair))
+        elif outcome.view and outcome.view.facts.unit is not None and overrides.bounds_c is None:
             units.setdefault(suffix, outcome.view.facts.unit)
 
     try:
         for index, pair in enumerate(pairing.pairs):
             progress("reading and writing", index, len(pairing.pairs))
-            convert(pair)
+            convert(pair.photos[THERMAL].suffix.lower(), pair)
         progress("reading and writing", len(pairing.pairs), len(pairing.pairs))
-        for pair in pairing.pairs:  # that may have been refused before the unit was known
-            known = units.get(pair.photos[THERMAL].suffix.lower())
-            if outcomes[pair.name].view is None and tried_with[pair.name] != known:
-                convert(pair)
+        for suffix, pair in refused_without:
+            if suffix in units:  # by a later photo
+                convert(suffix, pair)
     finally:
         with suppress(RunError):  # a full disk: the next call reads them again
             contents.save(forget_others=len(outcomes) == len(pairing.pairs))

@@ -8,9 +8,15 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Float32
-from PIL.TiffImagePlugin import TiffImageFile
 
-from mrgs.data.images import LUMINANCE, as_stored, holds_numbers, numbers_of, opened
+from mrgs.data.images import (
+    LUMINANCE,
+    TIFF_SIGNATURES,
+    as_stored,
+    holds_numbers,
+    numbers_of,
+    opened,
+)
 from mrgs.data.radiometric.exif import read_exif
 from mrgs.data.radiometric.measurement import masked
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
@@ -80,10 +86,12 @@ def read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
 def _frames(data: bytes, path: Path) -> int:
     """The number of pages of a TIFF, up to a thousand, if three or more are all of one size and
     type; else 1, as with a preview, a mask or smaller copies."""
+    if not data.startswith(TIFF_SIGNATURES):
+        return 1
     pages = []
     with warnings.catch_warnings(), opened(path, data) as image, suppress(Exception):
         warnings.simplefilter("ignore")  # of a damaged page, which ends them as the last does
-        for number in range(1000 if isinstance(image, TiffImageFile) else 0):
+        for number in range(1000):
             image.seek(number)
             pages.append((image.mode, image.size))
     return len(pages) if len(pages) > 2 and len({*pages}) == 1 else 1

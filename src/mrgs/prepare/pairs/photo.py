@@ -212,11 +212,12 @@ def told_apart(photos: Sequence[Photo], root_name: str) -> list[Photo]:
     photos counts where nothing else says what any of them is: a folder of both cameras' photos may
     be called "thermal survey", and so may one below it: half as many plain images or more, whose
     names do not begin like theirs, are RGB photos there unless their names say something else."""
-    stems = {str(photo.origin) for photo in photos if photo.is_thermal}
+    certain = [photo for photo in photos if photo.is_thermal]
+    stems = {str(photo.origin) for photo in certain}
     others = [photo for photo in photos if not _begins_with_one_of(str(photo.origin), stems)]
-    thermal, plain = (Counter(photo.origin.parent for photo in group) for group in (
-        [photo for photo in photos if photo.is_thermal], others,
-    ))  # fmt: skip
+    thermal, plain = (
+        Counter(photo.origin.parent for photo in group) for group in (certain, others)
+    )
     mixed = {folder for folder, count in plain.items() if 0 < thermal[folder] <= 2 * count}
     not_by_folder = {photo for photo in others if photo.origin.parent in mixed}
     found = [

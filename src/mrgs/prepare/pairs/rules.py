@@ -331,7 +331,7 @@ _FEWEST = 3
 """Fewer pairs than this prove no offset."""
 
 _CLOCK_S = 0.2
-"""What clocks of whole seconds let that spread vary by, seconds."""
+"""What clocks of whole seconds let the spread of what pairs are apart vary by, seconds."""
 
 _RANK_S = 1e-5
 """Photos of the same second are ordered as if they were this far apart, seconds."""
