@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -142,6 +143,15 @@ def test_views_of_one_pose_are_told_and_more_so_if_one_is_held_out(tabletop):
     (problem,) = pose_problems(replace(scene, eval=(*scene.eval, again)))
     assert "In 1 of them" in problem.text
     assert "held out" in problem.text
+
+
+def test_views_of_one_pose_that_show_different_modalities_are_not_told(tabletop):
+    scene = tabletop.scene
+    apart = [
+        [View(f"{view.name}_{name}", {name: image}) for name, image in view.images.items()]
+        for view in scene.train
+    ]
+    assert pose_problems(replace(scene, train=tuple(itertools.chain(*apart)))) == []
 
 
 def test_a_thermal_camera_that_looks_elsewhere_is_told(tabletop):

@@ -19,7 +19,7 @@ from mrgs.check.problem import (
     visible,
 )
 from mrgs.rasterizer.contract import NEAR_PLANE
-from mrgs.scene import Camera, Modality
+from mrgs.scene import Camera, Modality, View
 from mrgs.scene.camera import field_of_view
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV
 from mrgs.scene.view import evenly_spaced
@@ -172,9 +172,13 @@ def no_points(evidence: Evidence) -> Iterator[Problem]:
 
 
 def equal_poses(evidence: Evidence) -> Iterator[Problem]:
-    """Training views with exactly the same pose."""
+    """Training views with exactly the same pose, unless each shows another modality."""
     train = evidence.scene.train
-    poses = Counter(tuple(view.camera.viewmat.flatten().tolist()) for view in train)
+
+    def pose(view: View) -> tuple[object, ...]:
+        return (*view.images, *view.camera.viewmat.flatten().tolist())
+
+    poses = Counter(map(pose, train))
     if 1 == len(poses) < len(train):
         yield Problem(
             "error",
@@ -182,9 +186,7 @@ def equal_poses(evidence: Evidence) -> Iterator[Problem]:
             "Check the poses.",
         )
     elif len(poses) < len(train):
-        repeated = [
-            view.name for view in train if poses[tuple(view.camera.viewmat.flatten().tolist())] > 1
-        ]
+        repeated = [view.name for view in train if poses[pose(view)] > 1]
         yield Problem(
             "warning",
             f"{len(train) - len(poses)} of {len(train)} training views have exactly the pose of "
@@ -296,8 +298,10 @@ def _median_depth(evidence: Evidence) -> float | None:
 
 
 def similar_poses(evidence: Evidence) -> Iterator[Problem]:
-    """Views whose poses are nearly the same; exactly the same only if one is held out."""
+    """Views whose poses are nearly the same, and which do not show different modalities; exactly
+    the same only if one is held out."""
     scene, cameras = evidence.scene, [*evidence.cameras.values()]
+    shown = {view.name: [*view.images] for view in scene.views}
     names, held_out = [*evidence.cameras], {view.name for view in scene.eval}
     viewmats = torch.stack([camera.viewmat for camera in cameras])
     positions = torch.stack([camera.position for camera in cameras])
@@ -310,7 +314,8 @@ def similar_poses(evidence: Evidence) -> Iterator[Problem]:
     pairs = [
         (names[a], names[b])
         for a, b in same.nonzero().tolist()
-        if b >= len(scene.train) or not torch.equal(viewmats[a], viewmats[b])
+        if shown[names[a]] == shown[names[b]]
+        and (b >= len(scene.train) or not torch.equal(viewmats[a], viewmats[b]))
     ]
     if not pairs:
         return
