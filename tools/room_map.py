@@ -10,6 +10,7 @@ import re
 from functools import cache
 from html import escape
 from pathlib import Path
+from statistics import fmean
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "mrgs"
@@ -115,9 +116,8 @@ def positions(graph: dict[str, set[str]]) -> dict[str, tuple[float, float]]:
         neighbours = graph if sweep % 2 else users
         for row in rows if sweep % 2 == 0 else rows[::-1]:
             means = {
-                room: sum(x[n] for n in neighbours[room]) / len(neighbours[room])
-                if neighbours[room]
-                else x[room]
+                # Rounded once, so that it does not depend on the order of a set.
+                room: fmean(x[n] for n in neighbours[room] or (room,))
                 for room in row
             }
             row.sort(key=lambda room: (means[room], room))
