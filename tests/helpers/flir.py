@@ -7,6 +7,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import Literal
 
+import jpeg_ls
 import numpy as np
 from PIL import Image
 
@@ -49,7 +50,7 @@ class FlirPhoto:
     out."""
 
     raw: np.ndarray = field(default_factory=lambda: wave(24, 32))
-    storage: Literal["bare", "png", "swapped png"] = "bare"
+    storage: Literal["bare", "png", "swapped png", "jpeg-ls"] = "bare"
     order: Literal["<", ">"] = "<"
     planck: dict = field(default_factory=lambda: dict(PLANCK))
     parameters: dict = field(default_factory=lambda: dict(PARAMETERS))
@@ -94,6 +95,8 @@ class FlirPhoto:
         header = struct.pack(f"{self.order}3H26x", 2, width, height)
         if self.storage == "bare":
             return header + self.raw.astype(f"{self.order}u2").tobytes()
+        if self.storage == "jpeg-ls":
+            return header + bytes(jpeg_ls.encode_array(self.raw))
         return header + png(self.raw.byteswap() if self.storage == "swapped png" else self.raw)
 
     def contents(self) -> dict[int, bytes]:

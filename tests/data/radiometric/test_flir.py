@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import struct
+import sys
 from datetime import datetime
 
 import numpy as np
@@ -48,7 +49,7 @@ def expected_celsius(counts: np.ndarray, planck: dict, parameters: dict) -> np.n
     return low
 
 
-@pytest.mark.parametrize("storage", ["bare", "png", "swapped png"])
+@pytest.mark.parametrize("storage", ["bare", "png", "swapped png", "jpeg-ls"])
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_every_storage_gives_the_same_temperatures(save, storage, order):
     written = FlirPhoto(storage=storage, order=order)
@@ -293,7 +294,13 @@ def test_an_absurd_parameter_is_replaced_by_hand(save):
         ),
         (
             struct.pack("<3H26x", 2, 8, 8) + b"\xff\xd8\xff\xf7",
-            "JPEG-LS",
+            "0 x 0 pixels of 0 × 0 bits, where 8 x 8 of 16 bits are announced",
+        ),
+        (
+            struct.pack("<3H26x", 2, 8, 8)
+            + b"\xff\xd8\xff\xf7"
+            + struct.pack(">HBHHB", 11, 16, 8, 8, 1),
+            "cannot be decoded",
         ),
         (struct.pack("<3H26x", 2, 8, 8) + b"\x89PNG\r\n\x1a\n", "cannot be decoded"),
     ],
@@ -301,6 +308,12 @@ def test_an_absurd_parameter_is_replaced_by_hand(save):
 def test_raw_images_that_cannot_be(save, content, message):
     with pytest.raises(SceneError, match=message):
         read_thermal_photo(save("a.jpg", FlirPhoto(raw_content=content).jpeg()))
+
+
+def test_jpeg_ls_without_its_decoder_names_it(save, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jpeg_ls", None)
+    with pytest.raises(SceneError, match="needs `pip install pyjpegls`"):
+        read_thermal_photo(save("a.jpg", FlirPhoto(storage="jpeg-ls").jpeg()))
 
 
 def test_a_raw_png_of_another_size(save):

@@ -37,6 +37,9 @@ for phones is 298; between the others, if it is a whole number of °C in K, such
 _MEDIAN_LIMITS_C = (-150.0, 3000.0)
 """A photo whose middle temperature is outside was not computed with its camera's constants."""
 
+_PNG, _JPEG_LS = b"\x89PNG", b"\xff\xd8\xff\xf7"
+"""How a compressed raw image begins."""
+
 _WORKSWELL = b"WWP"
 """Creator of a record whose numbers are temperatures; its Planck constants are all 0."""
 
@@ -119,8 +122,8 @@ def read_flir(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
 
 
 def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
-    """The detector's counts in the record of the raw image: a PNG, or bare 16-bit numbers.
-    SceneError if it is damaged, cut off, too large, or compressed in a way that is not read."""
+    """The detector's counts in the record of the raw image: a PNG, JPEG-LS, or bare 16-bit numbers.
+    SceneError if it is damaged, cut off or too large."""
     fields = RecordFields.of(record)
     size = None if fields is None else fields.read(2, "HH")
     if fields is None or size is None or 0 in size:
@@ -129,34 +132,64 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
         )
     width, height = int(size[0]), int(size[1])
     content = record[_IMAGE_OFFSET:]
-    if content.startswith(b"\x89PNG"):
-        with opened(path, content, ("PNG",)) as image:
-            if image.size != (width, height) or not image.mode.startswith("I"):
-                raise scene_error(
-                    path,
-                    f"its raw image is {image.width} x {image.height} pixels of type {image.mode}, "
-                    f"where {width} x {height} of 16 bits are announced; copy the photo from the "
-                    f"camera again",
-                )
-            values = np.array(image).astype(np.uint16)
-        # PNG is big-endian, yet most of these cameras write little-endian: in the wrong order, each
-        # step of 1 becomes 256.
-        return min(
-            (values.byteswap(), values),
-            key=lambda each: sum(
-                int(np.abs(np.diff(each.astype(np.int32), axis=axis)).sum()) for axis in (0, 1)
-            ),
-        )
-    if content.startswith(b"\xff\xd8\xff"):
-        raise scene_error(
-            path,
-            "its raw image is compressed with JPEG-LS, which is not read; export it from FLIR's "
-            "program as CSV",
-        )
+    if content.startswith(_PNG):
+        return _smoother_order(_png_counts(content, width, height, path))
+    if content.startswith(_JPEG_LS):
+        return _smoother_order(_jpeg_ls_counts(content, width, height, path))
     if len(content) < 2 * width * height:
         raise cut_off(path, "raw image", len(content), 2 * width * height)
     counts = np.frombuffer(content, f"{fields.order}u2", width * height)
     return counts.reshape(height, width).astype(np.uint16)
+
+
+def _png_counts(content: bytes, width: int, height: int, path: Path) -> UInt16[np.ndarray, "h w"]:
+    with opened(path, content, ("PNG",)) as image:
+        if image.size != (width, height) or not image.mode.startswith("I"):
+            raise _unlike_announced(path, *image.size, f"type {image.mode}", width, height)
+        return np.array(image).astype(np.uint16)
+
+
+def _jpeg_ls_counts(
+    content: bytes, width: int, height: int, path: Path
+) -> UInt16[np.ndarray, "h w"]:
+    bits, rows, columns, channels = struct.unpack_from(">BHHB", content.ljust(12, b"\0"), 6)
+    if (columns, rows, channels) != (width, height, 1) or not 8 < bits <= 16:
+        kind = f"{channels} × {bits} bits"
+        raise _unlike_announced(path, columns, rows, kind, width, height)
+    try:
+        from jpeg_ls import decode_buffer
+    except ImportError:
+        raise scene_error(
+            path, "its raw image is compressed with JPEG-LS, which needs `pip install pyjpegls`"
+        ) from None
+    try:
+        counts, _ = decode_buffer(content)
+    except RuntimeError as error:
+        raise scene_error(
+            path, f"its raw image cannot be decoded ({error}); copy the photo from the camera again"
+        ) from None
+    return np.frombuffer(counts, "<u2").reshape(height, width).astype(np.uint16)
+
+
+def _unlike_announced(
+    path: Path, columns: int, rows: int, kind: str, width: int, height: int
+) -> SceneError:
+    return scene_error(
+        path,
+        f"its raw image is {columns} x {rows} pixels of {kind}, where {width} x {height} of 16 "
+        f"bits are announced; copy the photo from the camera again",
+    )
+
+
+def _smoother_order(values: UInt16[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
+    """The counts with the order of bytes that the camera meant: PNG is big-endian, yet most of
+    these cameras write little-endian; in the wrong order, each step of 1 becomes 256."""
+    return min(
+        (values.byteswap(), values),
+        key=lambda each: sum(
+            int(np.abs(np.diff(each.astype(np.int32), axis=axis)).sum()) for axis in (0, 1)
+        ),
+    )
 
 
 def _planck(info: RecordFields, path: Path) -> Planck:
