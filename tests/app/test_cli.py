@@ -834,6 +834,7 @@ NO_GPU = r"; or use the CPU \(--device\)$"
         ("eval", "RUN"),
         ("render", "RUN"),
         ("report", "RUN"),
+        ("export", "RUN", "--output", "NEW"),
         ("demo", "--output", "NEW"),
         ("compare", "SCENE", "--output", "NEW"),
     ],

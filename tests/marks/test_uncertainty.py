@@ -317,6 +317,11 @@ def test_what_is_assumed_is_said():
     assert (stated.accuracy, stated.notes) == ((1.0, 0.0), ())
 
 
+def test_a_camera_that_only_the_survey_names_has_the_usual_errors():
+    named = Budget.of(None, Survey(camera="FLIR T540"))
+    assert (named.accuracy, named.evenness) == ((2.0, 2.0), 0.2)
+
+
 def test_per_cent_alone_do_not_make_the_camera_exact_about_0_degrees():
     """Data sheets say ± 2 °C or 2 %, whichever is greater."""
     budget = Budget.of(None, Survey(camera_accuracy_percent=3.0))

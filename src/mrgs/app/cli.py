@@ -292,7 +292,7 @@ def _export(command: commands.Export) -> None:
     from mrgs.system.memory import release_when_freed
 
     release_when_freed()
-    run = cropped(load_run(command.run, command.scene, "cpu"), command.crop)
+    run = cropped(load_run(command.run, command.scene, command.device), command.crop)
     note_unfinished(run)
     folder = command.output or command.run / "export"
     plane = None if command.plane is None else parse_plane(*command.plane)

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 # tyro keeps the line breaks in docstrings of fields; longer helps are given as arguments.
 RESUME_HELP = (
-    "Resume the run in --output; all options but --accept-changes, --device, --plain, "
-    "--tensorboard and --view come from the saved run."
+    "Resume the run in --output; all options but --accept-changes, --device, "
+    "--eval-steps, --plain, --tensorboard and --view come from the saved run."
 )
 SYNTH_SCENE_HELP = (
     "Scene: things on a table, a house in winter, a powered circuit board; or one of the kinds "
@@ -345,6 +345,7 @@ class Export:
     crs: Maybe[str] = None
     """ortho, las: projected coordinate system in metres, such as EPSG:25832; by default UTM."""
     crop: CropBox = None
+    device: RenderDevice = "auto"
 
 
 @dataclass(frozen=True)

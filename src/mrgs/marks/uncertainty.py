@@ -124,7 +124,7 @@ class Budget:
         """The budget of a scene's photos, with what a survey states."""
         records = [] if scene is None else scene.records
         parameters = usual_parameters(records)
-        has_camera = any(record.camera for record in records)
+        has_camera = bool(survey.camera) or any(record.camera for record in records)
         accuracy, notes = _accuracy(survey, has_camera)
         stated = (
             survey.emissivity_uncertainty,
