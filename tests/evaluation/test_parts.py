@@ -6,12 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from mrgs.evaluation.evaluate import Parts, evaluate, score_parts
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.runs.open import open_run
 from mrgs.scene import THERMAL
 from mrgs.training.start import train
+from tests.helpers.changed_views import repainted, with_image
+from tests.helpers.runs import SMALL, trained_run
 
 SCENE = Path(__file__).parents[2] / "examples/tabletop"
 
@@ -25,6 +28,22 @@ def trained(config: TrainConfig, output: Path) -> tuple[Parts, float]:
     assert parts is not None
     whole = evaluate(views, run.render_view, run.temperature, camera_response=run.camera_response)
     return parts, whole.mean[THERMAL]["psnr"]
+
+
+def test_a_photo_without_a_valid_pixel_is_left_out_of_the_means(
+    tmp_path_factory, small_scene, tmp_path
+):
+    run = open_run(trained_run(tmp_path_factory, small_scene, SMALL, tmp_path / "run"))
+    view = run.load_scene().eval[0]
+    none = torch.zeros(view.images[THERMAL].load().values.shape[:2], dtype=torch.bool)
+    masked = with_image(
+        view,
+        THERMAL,
+        lambda image: repainted(image, lambda pixels: replace(pixels, valid=none)),
+    )
+    for part, figures in score_parts(run, [view]).knock_out.items():
+        both = score_parts(run, [view, masked]).knock_out[part]
+        assert both["thermal_psnr"] == pytest.approx(figures["thermal_psnr"])
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,17 @@ import pytest
 import torch
 
 from mrgs.errors import RunError
-from mrgs.evaluation.evaluate import NO_LPIPS, TRUTH_FIGURES, Metrics, Truth, evaluate
-from mrgs.evaluation.metrics import figure_names
+from mrgs.evaluation.evaluate import (
+    NO_LPIPS,
+    TRUTH_FIGURES,
+    Metrics,
+    Parts,
+    Truth,
+    evaluate,
+)
+from mrgs.evaluation.metrics import Missing, figure_names
 from mrgs.evaluation.report import RunFacts, format_figure, to_document, to_markdown, write_report
+from mrgs.method.parts import PartSpreads
 from mrgs.pictures.files import write_float_tiff
 from mrgs.scene import RGB, THERMAL, Rendering, View
 from tests.helpers.gaussians import NEAR_INFRARED
@@ -78,6 +87,20 @@ def test_every_null_has_its_reason_and_nothing_else_has(metrics: Metrics) -> Non
         assert set(reasons) == nulls(part)
         assert all(reasons.values())
     assert document["peak_memory_bytes"] is None
+
+
+def test_nulls_of_the_parts_have_reasons_too(metrics: Metrics) -> None:
+    figures = {"thermal_psnr": 30.0, "rgb_psnr": Missing("no photo"), "truth_mae_c": math.nan}
+    parts = Parts(PartSpreads(0.1, 0.0, 0.2), {"heat_exchange": figures}, None)
+    document = to_document(FACTS, metrics, parts)
+    reasons, found = document.pop("reasons"), nulls(document["parts"], "parts")
+    assert found == {name for name in reasons if name.startswith("parts.")}
+    assert found == {
+        "parts.temperature_residual_std_c",
+        "parts.heat_exchange_std_c",
+        "parts.knock_out.heat_exchange.rgb_psnr",
+        "parts.knock_out.heat_exchange.truth_mae_c",
+    }
 
 
 def test_what_json_cannot_hold(metrics: Metrics) -> None:

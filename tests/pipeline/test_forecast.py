@@ -92,9 +92,11 @@ def test_one_camera_needs_no_calibration():
 
 
 def test_room_that_is_needed_grows_with_the_photos_and_the_model():
-    small, large = workload(quality="fast"), workload(quality="best")
-    assert disk_bytes(small, PHOTOS) < disk_bytes(large, PHOTOS)
-    assert disk_bytes(small, PHOTOS) < disk_bytes(small, replace(PHOTOS, bytes=10**9))
+    def room(quality: str, photos: Intake = PHOTOS) -> int:
+        return disk_bytes(workload(quality=quality), photos, QUALITIES[quality])
+
+    assert room("fast") < room("best")
+    assert room("fast") < room("fast", replace(PHOTOS, bytes=10**9))
 
 
 def test_memory_is_that_which_the_training_states_for_the_same_photos(small_scene):

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import pytest
+
+from mrgs.errors import RunError, SceneError
 from mrgs.prepare.contract import StageSummary
+from mrgs.prepare.stages import page_on_error
 from mrgs.prepare.work import Work
 
 
@@ -30,3 +36,26 @@ def test_a_stage_is_done_once_and_reported_twice(tmp_path):
     assert {(report.title, report.lines, report.warnings) for report in reports} == {
         ("first stage", ("found",), ("Careful.",))
     }
+
+
+def test_the_page_that_shows_an_error_is_named(tmp_path):
+    def page(work: Work, failed: object) -> Path:
+        return Path("page.html")
+
+    with (
+        pytest.raises(SceneError, match=r"no overlap; page\.html shows what was found so far"),
+        page_on_error(Work(tmp_path, tmp_path), page),
+    ):
+        raise SceneError("no overlap")
+
+
+@pytest.mark.parametrize("error", [RunError("the disk is full"), SceneError("a photo is gone")])
+def test_an_error_is_told_though_no_page_can_show_it(error, tmp_path):
+    def page(work: Work, failed: object) -> Path:
+        raise error
+
+    with (
+        pytest.raises(SceneError, match=r"^no overlap$"),
+        page_on_error(Work(tmp_path, tmp_path), page),
+    ):
+        raise SceneError("no overlap")

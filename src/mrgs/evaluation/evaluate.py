@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -35,7 +35,6 @@ from mrgs.evaluation.metrics import (
     psnr_matched,
     ssim,
     ssim_pair_range,
-    to_json,
 )
 from mrgs.method.parts import PartSpreads, knock_outs, part_spreads
 from mrgs.runs.open import Run
@@ -337,16 +336,6 @@ class Parts:
     knock_out: Mapping[str, Mapping[str, Figure]]
     temperature: TemperatureRange | None
 
-    def to_document(self) -> dict[str, Any]:
-        """The object ``parts`` of ``metrics.json``; what cannot be had is null."""
-        return {
-            **self.spreads.to_json(self.temperature),
-            "knock_out": {
-                part: {name: to_json(figure)[0] for name, figure in figures.items()}
-                for part, figures in self.knock_out.items()
-            },
-        }
-
 
 def score_parts(run: Run, views: Sequence[View], truth: Truth | None = None) -> Parts | None:
     """Knock the parts out of a run's model, one at a time, and score what is left. None for a model
@@ -386,4 +375,6 @@ def _score(run: Run, view: View, photos: Mapping[Modality, Pixels], truth: Truth
 def _psnr(photo: Pixels | None, blend: Blend | None) -> Figure:
     if photo is None or blend is None:
         return Missing("the view has no such image, or the model does not render it")
+    if photo.valid is not None and not photo.valid.any():
+        return Missing("no pixel of the photo is valid")
     return psnr(blend.image, photo.values, photo.valid)

@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mrgs.evaluation.evaluate import TRUTH_FIGURES, Metrics, Parts
+from mrgs.evaluation.evaluate import NO_CELSIUS, TRUTH_FIGURES, Metrics, Parts
 from mrgs.evaluation.metrics import Figure, Figures, Missing, figure_names, to_json
 from mrgs.pictures.escape import escape_markdown
 from mrgs.pictures.values import capitalised
@@ -146,7 +146,7 @@ def to_document(
     if metrics.truth is not None:
         document["truth"] = _split(metrics.truth, "truth", reasons)
     if parts is not None:
-        document["parts"] = parts.to_document()
+        document["parts"] = _parts_document(parts, reasons)
     if metrics.pose_error_px is None:
         reasons["poses.error_px"] = NO_POSE_ERROR
     document["poses"] = {"error_px": metrics.pose_error_px}
@@ -162,6 +162,16 @@ def to_document(
     if data is not None:
         document["data"] = data.to_json()
     return document
+
+
+def _parts_document(parts: Parts, reasons: dict[str, str]) -> dict[str, Any]:
+    spreads = parts.spreads.to_json(parts.temperature)
+    reasons |= {f"parts.{name}": NO_CELSIUS for name, value in spreads.items() if value is None}
+    knocked_out = {
+        part: _split(figures, f"parts.knock_out.{part}", reasons)
+        for part, figures in parts.knock_out.items()
+    }
+    return {**spreads, "knock_out": knocked_out}
 
 
 def _groups(
@@ -250,11 +260,10 @@ PART_NAMES = {
 
 def _parts_text(parts: Parts) -> str:
     """How much the parts contribute, and the held-out views' figures without each."""
-    document = parts.to_document()
     spreads = [
-        f"{name} {document[key]:.4f}{unit}"
-        for key, (name, unit) in SPREADS.items()
-        if document[key] is not None
+        f"{SPREADS[key][0]} {value:.4f}{SPREADS[key][1]}"
+        for key, value in parts.spreads.to_json(parts.temperature).items()
+        if value is not None
     ]
     rows = [
         f"| {PART_NAMES[part]} | {format_figure('psnr', figures['thermal_psnr'])} "
@@ -302,7 +311,9 @@ def format_figure(name: str, figure: Figure) -> str:
     return f"{number:.{COLUMNS[name][1]}f}"
 
 
-def _split(figures: Figures, prefix: str, reasons: dict[str, str]) -> dict[str, float | None]:
+def _split(
+    figures: Mapping[str, Figure], prefix: str, reasons: dict[str, str]
+) -> dict[str, float | None]:
     """The figures as JSON numbers; the reason of each null is added to ``reasons``."""
     numbers: dict[str, float | None] = {}
     for name, figure in figures.items():

@@ -24,14 +24,14 @@ from mrgs.pipeline.plan import (
 from mrgs.pipeline.stages import LEDGER, Job
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.sfm.reconstruct import check_version, installed_version
-from mrgs.run_files.folder import RunFolder
+from mrgs.run_files.folder import CHECKPOINTS_KEPT, RunFolder
 from mrgs.scene import THERMAL
 from mrgs.system import gpu
 from mrgs.system.disk import free_disk
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.memory import free_memory
 from mrgs.system.threads import available_cores
-from mrgs.training.memory import training_bytes
+from mrgs.training.memory import checkpoint_bytes, training_bytes
 from mrgs.training.photos import bytes_per_pixel
 
 COMPILING_S = 45.0
@@ -106,7 +106,7 @@ def run_pipeline(
         notes.append(f"the export las is left out: {error}")
     compiling_s = COMPILING_S if used == HOST and not are_compiled() else 0.0
     work = Workload.of(intake, chosen, compiling_s)
-    disk = disk_bytes(work, intake)
+    disk = disk_bytes(work, intake, chosen)
     _require_disk(disk, target)
     memory, free = needed_memory(work, intake, chosen), free_memory()
     if free is not None and memory > free:
@@ -183,13 +183,15 @@ def _require_disk(needed: int, output: Path) -> None:
         )
 
 
-def disk_bytes(work: Workload, intake: Intake) -> int:
-    """Bytes that a pipeline writes, roughly: the scene, two checkpoints, renderings, exports."""
+def disk_bytes(work: Workload, intake: Intake, quality: Quality) -> int:
+    """Bytes that a pipeline writes, roughly: the scene, checkpoints and the one that is being
+    written, renderings, exports."""
     scene = 0
     if work.photos:
         thermal_px = math.prod(intake.sizes.get(THERMAL, (0, 0)))
         scene = intake.bytes + (4 * thermal_px + 1_000_000) * work.views
-    model = (3 * 1_100 + 1_500) * work.gaussians
+    checkpoint = checkpoint_bytes(quality.config(), intake.sizes, work.gaussians)
+    model = (CHECKPOINTS_KEPT + 1) * checkpoint + 1_500 * work.gaussians
     images = int(1e3 * work.kpx) * (12 * (work.held_out or work.views) + 2 * work.views)
     return int(1.2 * (scene + model + images)) + 50_000_000
 

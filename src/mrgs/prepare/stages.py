@@ -228,7 +228,7 @@ def page_on_error(work: Work, write_page: Callable[..., Path]) -> Iterator[None]
             (work.scene / TRANSFORMS).unlink(missing_ok=True)
         try:
             shown = write_page(work, error.failed if isinstance(error, TooFewPosesError) else ())
-        except RunError:  # the disk is full
+        except (RunError, SceneError):  # the disk is full, or a photo cannot be shown
             raise error from None
         message = f"{error}; {shown} shows what was found so far"
         raise SceneError(message, options=error.options) from error

@@ -50,6 +50,7 @@ def test_a_bare_flir_record(seen):
     found = seen("a.fff", FlirPhoto(info_fields=view).record())
     assert (found.kind, found.serial, found.field_of_view_deg) == ("signal", "4711", 25.0)
     assert found.exif.taken == datetime(2013, 3, 12, 16, 31, 23, 250_000)
+    assert found.exif.model == "Test Camera"
 
 
 def test_a_flir_record_without_camera_says_nothing_of_it(seen):

@@ -112,7 +112,7 @@ def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo:
         origin,
         "signal",
         embedded=records.get(flir.EMBEDDED_IMAGE) is not None,
-        exif=replace(exif, taken=exif.taken or camera.taken),
+        exif=replace(exif, model=exif.model or camera.model, taken=exif.taken or camera.taken),
         field_of_view_deg=camera.field_of_view_deg or exif.field_of_view_deg,
         serial=camera.serial,
     )
