@@ -11,7 +11,7 @@ import pytest
 
 from mrgs.marks import Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
-from mrgs.marks.uncertainty import Budget, Uncertainty
+from mrgs.marks.uncertainty import Budget, InputQuantity, Uncertainty, shared_difference
 from mrgs.scene.radiometry import ObjectParameters, Planck
 from tests.marks.test_uncertainty import BOX, SETTINGS, meter_of, of_place
 
@@ -176,3 +176,10 @@ def test_the_mean_over_two_surfaces_has_of_each_what_its_share_contributes():
     for quantity, part in found.shared.items():
         wanted = sum(each[quantity][0] / 2 for each in (shiny, plain) if quantity in each)
         assert part == pytest.approx(wanted, rel=0.05, abs=0.01)
+
+
+def test_what_both_share_counts_once():
+    emissivity, camera = InputQuantity("emissivity", 0.9), InputQuantity("camera", 1.0)
+    other = InputQuantity("camera", 2.0)
+    found = shared_difference({emissivity: 0.7, other: 1.9}, {emissivity: 0.5, camera: 1.9})
+    assert found == pytest.approx({emissivity: 0.2, camera: -1.9, other: 1.9})

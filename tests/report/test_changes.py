@@ -35,7 +35,6 @@ from mrgs.report.changes import (
     _Date,
     _same_camera,
     _thinned,
-    changed,
     diff_runs,
     kind_of,
     moved_mark,
@@ -430,13 +429,6 @@ def test_a_mark_moves_with_its_eye_and_radius(found):
     assert there.radius == pytest.approx(0.1 * SCALE, rel=0.01)
     away = np.linalg.norm(np.array(there.points[0]) - there.eye)
     assert away == pytest.approx(SCALE * math.sqrt(5), rel=0.01)
-
-
-def test_what_both_dates_share_counts_once():
-    emissivity, camera = InputQuantity("emissivity", 0.9), InputQuantity("camera", 1.0)
-    other = InputQuantity("camera", 2.0)
-    found = changed({emissivity: 0.5, camera: 1.9}, {emissivity: 0.7, other: 1.9})
-    assert found == pytest.approx({emissivity: 0.2, camera: -1.9, other: 1.9})
 
 
 PART = np.repeat([True, False], [10, 30])

@@ -94,13 +94,20 @@ class Uncertainty:
         return math.hypot(self.own, *self.shared.values())
 
     def of_difference(self, other: Uncertainty) -> float:
-        """Uncertainty of the difference to another temperature: an input quantity that both have
-        counts once, by how much more it changes one than the other."""
-        parts = [
-            self.shared.get(quantity, 0.0) - other.shared.get(quantity, 0.0)
-            for quantity in {*self.shared, *other.shared}
-        ]
-        return math.hypot(self.own, other.own, *parts)
+        """Uncertainty of the difference to another temperature."""
+        shared = shared_difference(self.shared, other.shared)
+        return math.hypot(self.own, other.own, *shared.values())
+
+
+def shared_difference(
+    one: Mapping[InputQuantity, float], other: Mapping[InputQuantity, float]
+) -> dict[InputQuantity, float]:
+    """What input quantities contribute to a temperature minus another: one that both have counts
+    once, by how much more it changes the first."""
+    return {
+        quantity: one.get(quantity, 0.0) - other.get(quantity, 0.0)
+        for quantity in dict.fromkeys((*one, *other))
+    }
 
 
 @dataclass(frozen=True)

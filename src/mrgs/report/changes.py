@@ -32,7 +32,7 @@ from mrgs.marks import MarkReading, RunMarks, open_marks
 from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.photo_readings import COVERAGE
 from mrgs.marks.tables import DASH, digits, write_features, write_rows
-from mrgs.marks.uncertainty import InputQuantity, Uncertainty
+from mrgs.marks.uncertainty import InputQuantity, Uncertainty, shared_difference
 from mrgs.pictures.files import write_png
 from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.numbers import number_text
@@ -460,7 +460,7 @@ class _Comparison:
         self._surface, self._relative = surface, relative
         medians = np.median(surface.before), np.median(surface.after)
         self._common = [date.common(float(c)) for date, c in zip(dates, medians, strict=True)]
-        self.common_uncertainty = math.hypot(*changed(*self._common).values())
+        self.common_uncertainty = math.hypot(*shared_difference(*self._common).values())
 
     def of_change(
         self, part: Bool[np.ndarray, " n"], least_k: float
@@ -503,10 +503,10 @@ class _Comparison:
     ) -> tuple[float, float]:
         """ΔT and its uncertainty, in which what both dates share counts once."""
         one, other = around
-        shared, common = changed(one.shared, other.shared), 0.0
+        shared, common = shared_difference(one.shared, other.shared), 0.0
         if relative:
             common = self._surface.common
-            for quantity, part in changed(*self._common).items():
+            for quantity, part in shared_difference(*self._common).items():
                 shared[quantity] = shared.get(quantity, 0.0) - part
         total = math.hypot(one.own, other.own, *shared.values())
         return after - before - common, total
@@ -522,15 +522,6 @@ class _Comparison:
         ]
         x, y, z = min(cameras, key=lambda place: float(np.linalg.norm(place - middle))).tolist()
         return x, y, z
-
-
-def changed(
-    one: Mapping[InputQuantity, float], other: Mapping[InputQuantity, float]
-) -> dict[InputQuantity, float]:
-    """What input quantities contribute to the difference of two temperatures."""
-    return {
-        each: other.get(each, 0.0) - one.get(each, 0.0) for each in dict.fromkeys((*one, *other))
-    }
 
 
 def kind_of(

@@ -27,7 +27,7 @@ from mrgs.marks.measure import NARROW_HOT, NO_PHOTO
 from mrgs.marks.photo_readings import COVERAGE, OF_POINT, PhotoReadings, SightingSums
 from mrgs.marks.resolution import RESOLVED_PX
 from mrgs.marks.tables import DASH, write_features, write_rows
-from mrgs.marks.uncertainty import Budget
+from mrgs.marks.uncertainty import Budget, shared_difference
 from mrgs.pictures.files import write_png
 from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.numbers import number_text
@@ -364,10 +364,12 @@ def _mean_over(values: Float64[np.ndarray, "m l s"], width: float) -> Float64[np
 def _of_difference(budget: Budget, celsius: float, beside: float) -> float:
     """What camera and settings contribute to the uncertainty of ΔT: they are the same at both
     places, but for the camera's unevenness."""
+    surface = budget.capture.surface
     hot, cold = (
-        budget.contributions(np.array([each]), budget.capture.surface, place)
+        {
+            quantity: float(part[0])
+            for quantity, part in budget.contributions(np.array([each]), surface, place).items()
+        }
         for place, each in enumerate((celsius, beside))
     )
-    parts = [float(part[0]) for part in (hot[key] - cold.get(key, 0.0) for key in hot)]
-    uneven = [float(part[0]) for key, part in cold.items() if key not in hot]
-    return math.hypot(*parts, *uneven)
+    return math.hypot(*shared_difference(hot, cold).values())
