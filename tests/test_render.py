@@ -10,7 +10,7 @@ import mrgs.render
 from mrgs.errors import KernelWarning
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.rasterizer import Geometry, contract, median_depth, rasterize, reference
-from mrgs.rasterizer.contract import AS_PUBLISHED, Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
 from mrgs.scene import (
     RGB,
@@ -61,7 +61,7 @@ def make_model(
         {name: tensor.to(dtype).requires_grad_() for name, tensor in gaussians.tensors().items()},
         ALL,
     )
-    return Model(gaussians, field.to(dtype), neighbours, sh_degree=2, dilation=AS_PUBLISHED)
+    return Model(gaussians, field.to(dtype), neighbours, sh_degree=2, dilation=Dilation())
 
 
 def images_of(rendering: Rendering) -> dict[str, torch.Tensor]:

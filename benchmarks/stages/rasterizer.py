@@ -17,7 +17,7 @@ from mrgs.kernels.rasterize.cpu.blend import LayerImages, blend, blend_backward
 from mrgs.kernels.rasterize.cpu.projection import GaussianArrays, project, project_backward
 from mrgs.kernels.rasterize.cpu.tiles import gather_splats, nearest_first, tile_lists
 from mrgs.rasterizer import Geometry, rasterize, splat
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.system.gpu import HOST
 
 FORWARD = "forward"
@@ -50,7 +50,7 @@ class FusedPass:
     def __init__(self, count: int, width: int, height: int) -> None:
         self._scene = {name: tensor.requires_grad_() for name, tensor in room(count).items()}
         self._layers = layers_of(self._scene)
-        self._projection = AS_PUBLISHED.projection(camera(width, height), HOST)
+        self._projection = Dilation().projection(camera(width, height), HOST)
         self._cotangents = [torch.ones(image.shape) for image in self.forward()]
 
     def forward(self) -> list[Tensor]:
@@ -82,7 +82,7 @@ class PassInStages:
         features = np.concatenate([scene["colors"], scene["temperatures"]], axis=1)
         geometry = scene["means"], scene["quats"], scene["scales"]
         self._gaussians = GaussianArrays(*geometry, opacities, features)
-        seen_by = AS_PUBLISHED.projection(camera(width, height), HOST)
+        seen_by = Dilation().projection(camera(width, height), HOST)
         self._projection = seen_by._replace(viewmat=seen_by.viewmat.numpy(), K=seen_by.K.numpy())
         self._offset = np.zeros((count, 2), np.float32)
         self._backgrounds = np.zeros(4, np.float32)

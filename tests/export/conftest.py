@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mrgs.field.spherical_harmonics import C0
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange
@@ -64,7 +64,7 @@ def globe() -> BakedModel:
         {RGB: sh[:, 1:]},
         temperatures,
         scale,
-        dilation=AS_PUBLISHED,
+        dilation=Dilation(),
     )
 
 

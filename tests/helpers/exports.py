@@ -18,7 +18,7 @@ import torch
 
 from mrgs.export.glb import EXTENSION
 from mrgs.export.splats import SplatArrays
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, TemperatureRange
 
@@ -107,7 +107,7 @@ def draw(splats: SplatArrays, camera: Camera) -> torch.Tensor:
             {RGB: sh[:, 1:]},
             opacities,
             None,
-            dilation=AS_PUBLISHED,
+            dilation=Dilation(),
         )
         .render(camera)[RGB]
         .image
@@ -133,7 +133,7 @@ def make_baked(count: int = 50, temperature: TemperatureRange | None = CELSIUS) 
         {RGB: sh[:, 1:]},
         temperatures,
         temperature,
-        dilation=AS_PUBLISHED,
+        dilation=Dilation(),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mrgs.field.spherical_harmonics import C0
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
     RGB,
@@ -76,7 +76,7 @@ def front() -> BakedModel:
         {RGB: sh[:, 1:]},
         torch.from_numpy(CELSIUS.from_celsius(celsius)).float(),
         CELSIUS,
-        dilation=AS_PUBLISHED,
+        dilation=Dilation(),
     )
 
 

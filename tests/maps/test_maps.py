@@ -20,7 +20,7 @@ from mrgs.export.maps import ortho_texts
 from mrgs.maps.crs import LOCAL_NAME, coordinate_system
 from mrgs.maps.draw import OrthographicMap
 from mrgs.maps.options import MapOptions, parse_plane
-from mrgs.maps.surfaces import MapGrid, pixel_size_m, survey
+from mrgs.maps.surfaces import MapGrid, pixel_size_m, seen_surfaces
 from mrgs.scene import RGB, THERMAL, EarthPosition, View, WorldFrame
 from tests.helpers.exports import read_ply
 from tests.maps.conftest import CELSIUS, GROUND_C, PIXEL, WALL_C, WINDOW_C, WINDOWS
@@ -378,7 +378,7 @@ def test_points_that_span_no_plane_are_refused(texts, message):
 
 
 def test_a_map_for_a_page_has_no_more_pixels_than_are_asked_for(front, front_scene):
-    maps, extent = survey(front, front_scene), np.array([8.0, 5.0])
+    maps, extent = seen_surfaces(front, front_scene), np.array([8.0, 5.0])
 
     def pixel(options: MapOptions, most_px: int | None) -> float:
         return pixel_size_m(front_scene, maps, options, extent, most_px)

@@ -10,7 +10,7 @@ import pytest
 from mrgs.maps.draw import OrthographicMap, draw_map
 from mrgs.maps.facade import facade_grid
 from mrgs.maps.options import MapOptions
-from mrgs.maps.surfaces import survey
+from mrgs.maps.surfaces import seen_surfaces
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.photo_readings import PhotoReadings
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 def maps(front, front_scene):
     """The wall of wide splats without and with the area, and what its pixels show of it."""
     wide = replace(front, scales=front.scales * 3)
-    seen = survey(wide, front_scene)
+    seen = seen_surfaces(wide, front_scene)
     readings = PhotoReadings(wide.render, ideal_cameras, front_scene.train, CELSIUS)
     meter = UncertaintyMeter.of(readings, front_scene, CELSIUS, Survey())
     regions = Regions(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.maps.surfaces import MapGrid, ShownPlaces, _depth_of_cells, survey, unprojected
+from mrgs.maps.surfaces import MapGrid, ShownPlaces, _depth_of_cells, seen_surfaces, unprojected
 from mrgs.scene import Camera
 from tests.maps.conftest import PIXEL
 
@@ -18,7 +18,7 @@ WHOLE = slice(0, 40), slice(0, 80)
 
 @pytest.fixture(scope="module")
 def maps(front, front_scene):
-    return survey(front, front_scene)
+    return seen_surfaces(front, front_scene)
 
 
 def grid(low: float, high: float) -> MapGrid:

@@ -17,7 +17,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import NO_PHOTO, MarkMeter
 from mrgs.marks.regions import Regions
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Rendering
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord, Planck
@@ -231,7 +231,7 @@ def test_splats_of_a_region_are_corrected():
         {},
         normalised,
         RANGE,
-        dilation=AS_PUBLISHED,
+        dilation=Dilation(),
     )
     capture = CaptureSettings(SurfaceSettings(0.95, 20.0), TYPICAL_LAW)
     corrected = Regions(Marks((BOX,)), render_wall, RANGE, capture).of_splats(baked)

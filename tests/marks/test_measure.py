@@ -19,7 +19,7 @@ from mrgs.marks.surface import (
     see,
     steady_depth,
 )
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, render
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering, Scene
 from mrgs.scene.depth_map import before_background
@@ -58,7 +58,7 @@ def test_a_spot_reads_what_a_photo_from_its_eye_shows():
         RadianceField(FieldConfig(residuals=False)),
         None,
         sh_degree=0,
-        dilation=AS_PUBLISHED,
+        dilation=Dilation(),
     )
     camera = Camera.from_fov(161, 121, 50.0).look_at(EYE, [0.0, 0.0, 0.0])
 

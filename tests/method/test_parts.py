@@ -5,7 +5,7 @@ import torch
 
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.method.parts import knock_outs, part_spreads
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.gaussians import random_gaussians
@@ -21,7 +21,7 @@ def make_model(count: int = 40, **options) -> Model:
     gaussians.embedding = field.initial_embedding(gaussians.means)
     k = field.config.neighbours_k
     neighbours = nearest_neighbours(gaussians.means, k) if k > 0 else None
-    return Model(gaussians, field, neighbours, dilation=AS_PUBLISHED)
+    return Model(gaussians, field, neighbours, dilation=Dilation())
 
 
 def values(model: Model) -> tuple[torch.Tensor, torch.Tensor]:

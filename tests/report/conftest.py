@@ -12,7 +12,7 @@ import torch
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.field.spherical_harmonics import C0
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model
 from mrgs.report.copies import require_weasyprint
 from mrgs.runs.open import Run, load_run
@@ -61,7 +61,7 @@ def globe() -> Model:
         sh_rest={RGB: torch.zeros(SPLATS, 15, 3), THERMAL: torch.zeros(SPLATS, 0, 1)},
         embedding=field.initial_embedding(outward),
     )
-    return Model(gaussians, field, None, sh_degree=0, dilation=AS_PUBLISHED)
+    return Model(gaussians, field, None, sh_degree=0, dilation=Dilation())
 
 
 @pytest.fixture(scope="module")

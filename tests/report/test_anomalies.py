@@ -10,7 +10,7 @@ import torch
 from mrgs.marks import Mark
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.uncertainty import Uncertainty
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.report.anomalies import Anomaly, Spot, _apart, _Cube, _Sightings, find_spots
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
@@ -80,7 +80,7 @@ def plane(extra: list[tuple[tuple[float, float, float], float]] = []) -> BakedMo
         {RGB: torch.zeros(n, 15, 3)},
         temperatures,
         TemperatureRange(0.0, 100.0),
-        dilation=AS_PUBLISHED,
+        dilation=Dilation(),
     )
 
 
@@ -161,7 +161,7 @@ def test_nothing_is_found_where_nothing_is_seen():
     assert find_spots(views(), BakedModel(
         torch.tensor([[0.0, 0.0, 50.0]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.01),
         {THERMAL: torch.tensor([0.5])}, {}, {}, torch.tensor([0.5]), None,
-        dilation=AS_PUBLISHED,
+        dilation=Dilation(),
     ).render) == ([], [])  # fmt: skip
     assert find_spots(views(thermal=False), plane().render) == ([], [])
 

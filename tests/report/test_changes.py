@@ -26,7 +26,7 @@ from mrgs.field.spherical_harmonics import C0
 from mrgs.marks.mark import Mark, Marks
 from mrgs.marks.run_marks import open_marks
 from mrgs.marks.uncertainty import InputQuantity, Uncertainty
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model
 from mrgs.report.changes import (
     Differences,
@@ -93,7 +93,7 @@ def wall(patches: tuple[tuple[float, float], ...], level_c: float, seed: int) ->
         sh_rest={RGB: torch.zeros(count, 15, 3), THERMAL: torch.zeros(count, 0, 1)},
         embedding=field.initial_embedding(means),
     )
-    return Model(gaussians, field, None, sh_degree=0, dilation=AS_PUBLISHED)
+    return Model(gaussians, field, None, sh_degree=0, dilation=Dilation())
 
 
 def moved(model: Model, cameras: list[Camera]) -> tuple[Model, list[Camera]]:

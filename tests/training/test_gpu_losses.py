@@ -18,7 +18,7 @@ from mrgs.method.losses.photometric import total_loss
 from mrgs.method.losses.smoothness import similarity_of, total_variation
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import configured_terms, term_values
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
 from mrgs.scene.capture import Capture, Viewpoint
 from mrgs.system.cuda_graph import sync_debug_mode
@@ -156,7 +156,7 @@ def test_no_loss_makes_the_host_wait(masked):
         {each: photo(each.channels) for each in modalities},
         dict.fromkeys(modalities, camera),
         random_gaussians(1),
-        AS_PUBLISHED,
+        Dilation(),
         SceneScale(2.0, TemperatureRange(10.0, 30.0)),
         not_rendered,
     )

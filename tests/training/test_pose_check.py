@@ -13,6 +13,7 @@ from mrgs.errors import MrgsWarning
 from mrgs.method.camera_model.pose_error import PoseAgreement
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.scene import Camera, Modality, Pixels
+from mrgs.scene.view import evenly_spaced
 from mrgs.training.pose_check import (
     EARLIEST_STEP,
     MOST_VIEWS,
@@ -20,7 +21,6 @@ from mrgs.training.pose_check import (
     checked_after,
     checks_poses_now,
     looked_at,
-    spread,
 )
 from mrgs.training.state import initial_state
 from mrgs.training.view_pass import PhotographedView
@@ -165,10 +165,9 @@ def test_poses_are_checked_once_and_later_where_that_failed():
 
 @pytest.mark.slow
 def test_of_many_views_some_are_looked_at_from_all_over():
-    assert spread(9, 3) == [0, 3, 6]
     loaded: list[int] = []
     begun_check(photographed(wrong_px=0.0, views=MOST_VIEWS + 8), loaded).agreement()
-    assert loaded == spread(MOST_VIEWS + 8, MOST_VIEWS)
+    assert loaded == evenly_spaced(MOST_VIEWS + 8, MOST_VIEWS)
 
 
 def test_masked_pixels_do_not_count_and_no_gradient_is_kept():

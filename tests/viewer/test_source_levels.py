@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 
 from mrgs.field import FieldConfig, RadianceField
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, rows_in_view
 from mrgs.scene import Camera, Gaussians
 from mrgs.viewer.source import LEVEL_FACTOR, LevelsOfDetail
@@ -21,7 +21,7 @@ def model(count: int, residuals: bool = False) -> Model:
     gaussians.log_scales = gaussians.log_scales - 5
     field = RadianceField(FieldConfig(residuals=residuals, embedding_width=6))
     known = torch.linspace(0, 1, count)[:, None] if residuals else None
-    return Model(gaussians, field, None, temperature_residuals=known, dilation=AS_PUBLISHED)
+    return Model(gaussians, field, None, temperature_residuals=known, dilation=Dilation())
 
 
 def levels(whole: Model, most: int) -> LevelsOfDetail:

@@ -82,7 +82,7 @@ class Surveyor:
     def places(self, camera: Camera, modality: Modality) -> Places:
         """The places of a small image of a camera. Where the model shows no surface, it is taken to
         be where the nearest pixel shows one."""
-        small = camera.with_width(min(ACROSS_PX, camera.width))
+        small = camera.at_most(ACROSS_PX)
         rendering = render(self._model, {modality: small}, with_median_depth=True)[0].cpu()
         depth = rendering.surface_depth(modality)
         if not depth.isfinite().any():

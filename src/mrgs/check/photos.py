@@ -101,7 +101,7 @@ def measure(pixels: Pixels, photo: PosedImage) -> ImageStatistics:
         bits=_used_bits(some),
         digest=hashlib.sha256(some.tobytes()).digest(),
         small=small,
-        camera=photo.camera.with_width(min(photo.camera.width, small.shape[1])),
+        camera=photo.camera.at_most(small.shape[1]),
     )
 
 

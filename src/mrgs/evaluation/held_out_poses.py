@@ -22,8 +22,8 @@ from mrgs.method.camera_model.pose_error import (
 from mrgs.method.camera_model.pose_refinement import as_matrix, effect, motion_axes
 from mrgs.runs.open import TrainedRun
 from mrgs.scene import View
-from mrgs.scene.view import moved_cameras, moved_view
-from mrgs.training.pose_check import looked_at, spread
+from mrgs.scene.view import evenly_spaced, moved_cameras, moved_view
+from mrgs.training.pose_check import looked_at
 from mrgs.training.view_pass import pixel_sizes
 
 MOST_VIEWS = 16
@@ -62,7 +62,7 @@ def looked_at_first(views: Sequence[View]) -> list[View]:
     """The views that are inspected for wrong poses: all, some of many, or none of too few."""
     if len(views) < FEWEST_VIEWS:
         return []
-    return [views[number] for number in spread(len(views), MOST_VIEWS)]
+    return [views[number] for number in evenly_spaced(len(views), MOST_VIEWS)]
 
 
 def held_out_error(

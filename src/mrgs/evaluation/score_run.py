@@ -47,11 +47,11 @@ from mrgs.scene import (
     ideal_cameras,
 )
 from mrgs.scene.camera import orbit
+from mrgs.scene.view import evenly_spaced
 from mrgs.system.gpu import HOST
 from mrgs.system.memory import give_back_freed
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.loop import Trainer
-from mrgs.training.pose_check import spread
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ def score_during_training(trainer: Trainer) -> tuple[dict[str, float], Pictures]
     The pictures show photo and rendering of a few views side by side. SceneError if an image or a
     truth file cannot be read; DeviceError if the GPU's memory does not suffice."""
     run, views = _run_in_training(trainer), trainer.scene.eval
-    shown = {views[number].name for number in spread(len(views), PICTURED_VIEWS)}
+    shown = {views[number].name for number in evenly_spaced(len(views), PICTURED_VIEWS)}
     pictures: dict[str, UInt8[np.ndarray, "h w 3"]] = {}
 
     def visit(view: View, observed: Rendering, _: ViewMetrics) -> None:

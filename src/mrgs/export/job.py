@@ -325,7 +325,7 @@ def correction_note(
     assert uncorrected.temperature is not None
     span_c, found = uncorrected.temperature.span_c, []
     for index in evenly_spaced(len(cameras), NOTED_VIEWS):
-        camera = cameras[index].with_width(min(cameras[index].width, NOTED_PX))
+        camera = cameras[index].at_most(NOTED_PX)
         plain = uncorrected.render({THERMAL: camera})
         exact = regions.applied_to(plain, camera)[THERMAL].image
         blended = corrected.render({THERMAL: camera})[THERMAL].image

@@ -35,7 +35,7 @@ from mrgs.maps.draw import (
     write_style,
 )
 from mrgs.maps.facade import facade_grid
-from mrgs.maps.surfaces import grid_from_above, survey
+from mrgs.maps.surfaces import grid_from_above, seen_surfaces
 from mrgs.pictures.files import write_png
 from mrgs.pictures.numbers import number_text
 from mrgs.scene import THERMAL, Scene
@@ -68,7 +68,7 @@ def export_ortho(job: ExportJob) -> list[Path]:
     """Write ``ortho.tif`` with its sidecar and its style for QGIS, ``ortho.png``, ``ortho.dxf``
     with the picture in it, and of a scene with a place on Earth ``ortho.kmz``."""
     system = coordinate_system(job.scene, job.maps.crs)
-    maps = survey(job.baked, job.scene)
+    maps = seen_surfaces(job.baked, job.scene)
     grid, coverage = grid_from_above(job.scene, maps, system, job.maps)
     drawn = draw_map(job.baked, job.scene, maps, grid, job.appraised, coverage)
     return _write_map(job, "ortho", drawn, system, *ortho_texts(job.scene.name, drawn, system))
@@ -102,7 +102,7 @@ def export_elevation(job: ExportJob) -> list[Path]:
     Its coordinates are metres to the right and upwards from the lower left corner of the map, whose
     place in the scene is in the sidecar.
     """
-    maps = survey(job.baked, job.scene)
+    maps = seen_surfaces(job.baked, job.scene)
     grid = facade_grid(job.scene, maps, job.maps)
     drawn = draw_map(job.baked, job.scene, maps, grid, job.appraised)
     system = replace(LOCAL, wkt=local_wkt(f"{job.scene.name} façade"))

@@ -21,13 +21,7 @@ from mrgs.pictures.files import to_array
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, Scene
-from mrgs.scene.depth_map import (
-    MAX_STEP,
-    SURFACE_DEPTH,
-    DepthMap,
-    carry_over,
-    reduced,
-)
+from mrgs.scene.depth_map import MAX_STEP, MAX_WIDTH_PX, SURFACE_DEPTH, DepthMap, carry_over
 
 COLORS = ("red", "green", "blue")
 """What files call the channels of RGB."""
@@ -39,7 +33,7 @@ def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     that of the first modality of which the scene has photos, infinite where the sky is seen.
     RunError if no pixel is opaque enough to have one."""
     maps, surface = [], scene.modalities[0]
-    for camera in (reduced(view.camera) for view in scene.survey_views()):
+    for camera in (view.camera.at_most(MAX_WIDTH_PX) for view in scene.survey_views()):
         rendering = baked.render(camera, surface)
         depth = rendering.surface_depth(surface, max_step=MAX_STEP)
         distant = to_array(scene.reach.without_background(camera, depth))

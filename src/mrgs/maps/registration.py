@@ -134,7 +134,7 @@ def _features(
     features, maps = [], []
     cameras, places = [photo.camera for photo in photos], scene.points.positions.numpy()
     for index in surveying(cameras, places, PHOTOS, enough):
-        camera = photos[index].camera.with_width(min(photos[index].camera.width, WIDEST_PX))
+        camera = photos[index].camera.at_most(WIDEST_PX)
         image = photos[index].look(camera.width).values.mean(dim=2)[None, None]
         size = camera.height, camera.width
         grey = torch.nn.functional.interpolate(image, size, mode="area")[0, 0].numpy()

@@ -140,12 +140,12 @@ RENDERED, MEASURED = 0, 1
 """Channels of a photo's map: °C as the model shows them, and as the photo does."""
 
 
-def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
+def seen_surfaces(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     """Small depth maps of the thermal photos, without images: infinite where the background is
     seen, NaN where nothing is. RunError if no photo sees a surface."""
     maps = []
     for image in scene.train_photos(THERMAL):
-        camera = image.camera.with_width(min(image.camera.width, SURVEY_PX))
+        camera = image.camera.at_most(SURVEY_PX)
         depth = _surface_depth(baked, scene, camera)
         maps.append(DepthMap(camera, depth, np.empty((*depth.shape, 0), np.float32)))
     if not any(np.isfinite(item.depth).any() for item in maps):

@@ -261,7 +261,7 @@ class PhotoReadings(DepthMaps):
     def witness(self, view: View, width_px: int = WIDTH_PX) -> DepthMap:
         """Depth and channels of any photo, at most ``width_px`` wide."""
         photo = view.images[THERMAL]
-        camera = photo.camera.with_width(min(photo.camera.width, width_px))
+        camera = photo.camera.at_most(width_px)
         rendering = self._render(camera)
         record = partial(
             self._respond,

@@ -74,7 +74,7 @@ class Workload:
     @classmethod
     def of(cls, intake: Intake, quality: Quality, compiles_s: float = 0.0) -> Workload:
         """The workload of photos or a scene at a quality."""
-        sizes = [reduced(size, quality.resolution) for size in intake.sizes.values()]
+        sizes = [size_in_training(size, quality.resolution) for size in intake.sizes.values()]
         start = 450 * intake.views if intake.points is None else intake.points
         photos = intake.kind == "photos"
         return cls(
@@ -101,10 +101,10 @@ class Workload:
         return cls(views, held_out, pixels, kpx, kpx, gaussians, gaussians, run.config.max_steps)
 
 
-def reduced(size: Size, resolution: int) -> Size:
+def size_in_training(size: Size, resolution: int) -> Size:
     """The size of an image in training, at its full resolution."""
     scale = min(1.0, resolution / size[0])
-    return round(scale * size[0]), round(scale * size[1])
+    return round(scale * size[0]), max(1, round(scale * size[1]))
 
 
 def mean_kpx(sizes: Sequence[Size], config: TrainConfig) -> float:

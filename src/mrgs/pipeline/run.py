@@ -11,7 +11,7 @@ from pathlib import Path
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.export.points import require_laspy
 from mrgs.kernels.cache import are_compiled
-from mrgs.pipeline.forecast import Forecast, Workload, pace_so_far, reduced, stage_parts
+from mrgs.pipeline.forecast import Forecast, Workload, pace_so_far, size_in_training, stage_parts
 from mrgs.pipeline.plan import (
     QUALITIES,
     Intake,
@@ -199,7 +199,7 @@ def disk_bytes(work: Workload, intake: Intake, quality: Quality) -> int:
 def needed_memory(work: Workload, intake: Intake, quality: Quality) -> int:
     """Bytes of memory that training needs at most, roughly."""
     bytes_each = sum(
-        bytes_per_pixel(modality) * math.prod(reduced(size, quality.resolution))
+        bytes_per_pixel(modality) * math.prod(size_in_training(size, quality.resolution))
         for modality, size in intake.sizes.items()
     )
     return training_bytes(

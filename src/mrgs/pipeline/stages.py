@@ -122,7 +122,8 @@ class Job:
 
     def _made_from_model(self) -> str:
         newest = RunFolder(self.model).newest_checkpoint()
-        stamp = file_stamp(newest, self.model)
+        size, mtime, _ = stamp_of(newest)  # a copy that keeps its mtime is the same file
+        stamp = newest.relative_to(self.model).as_posix(), size, mtime
         return fingerprint(version("mrgs"), stamp, self._scene_contents())
 
     def _made_from_cropped(self) -> str:
@@ -338,10 +339,3 @@ def _size(path: Path) -> int | None:
         return path.stat().st_size
     except (OSError, ValueError):
         return None
-
-
-def file_stamp(path: Path, root: Path) -> tuple[str, int, int]:
-    """Path, size and mtime of a file below a folder, which only this program writes. A copy that
-    keeps its mtime is the same file."""
-    size, mtime, _ = stamp_of(path)
-    return path.relative_to(root).as_posix(), size, mtime

@@ -30,7 +30,7 @@ from mrgs.data.radiometric import (
     VisibleImage,
     read_thermal_photo,
 )
-from mrgs.data.radiometric.exif import clean_text
+from mrgs.data.radiometric.exif import JPEG_SIGNATURE, clean_text
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError, ToolError, scene_error
 from mrgs.pictures.settings import SETTINGS
@@ -60,7 +60,7 @@ _VERSION = 11
 Orientations = Mapping[Modality, int]
 """The EXIF orientation of all photos of a modality."""
 
-_SUFFIXES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}
+_SUFFIXES = {JPEG_SIGNATURE: ".jpg", b"\x89PNG": ".png"}
 
 LYING = 5
 """EXIF orientation from which on rows and columns change places in the upright image."""
@@ -272,7 +272,7 @@ def read_embedded(visible: VisibleImage | None, path: Path, orientation: int) ->
             path, "holds no visible photo, while others do; leave it out, or add its RGB photo"
         )
     image = Image.fromarray(visible.pixels())
-    if orientation == 1 and visible.data.startswith(b"\xff\xd8\xff"):
+    if orientation == 1 and visible.data.startswith(JPEG_SIGNATURE):
         return ImageFile(visible.data, ".jpg", image.size)
     return _turned(image, orientation, ".png")
 

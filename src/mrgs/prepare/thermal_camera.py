@@ -18,6 +18,7 @@ from mrgs.data.images import decode
 from mrgs.data.sources import ImageSource, decode_rgb, posed_image
 from mrgs.errors import ConfigError, scene_error
 from mrgs.prepare.contract import ConvertedImage, ConvertedView, Georeference
+from mrgs.prepare.georeference import ARBITRARY
 from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Pixels
@@ -192,7 +193,7 @@ def in_metres_of_target(
         translation=metres * georeference.translation,
         metric=True,
         text=f"The scale is that of the target's squares. "
-        f"{georeference.text.removeprefix('The scale is arbitrary. ')}",
+        f"{georeference.text.removeprefix(f'{ARBITRARY} ')}",
     )
     in_metres = torch.ones(4, 4, dtype=torch.float64)
     in_metres[:3, 3] = metres

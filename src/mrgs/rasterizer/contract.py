@@ -140,7 +140,3 @@ class Dilation:
         """A camera's projection on a device, with this dilation and without the pose's gradient."""
         K, viewmat, _ = camera.tensors(device)
         return Projection(viewmat.detach(), K, camera.width, camera.height, self.of(camera))
-
-
-AS_PUBLISHED = Dilation()
-"""The dilation of 3DGS and the paper."""

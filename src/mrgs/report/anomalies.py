@@ -155,8 +155,7 @@ def _survey(
     parts, images = [], {}
     widest = round(WIDTH_PX * min(1.0, MANY / max(len(chosen), 1)) ** 0.5)
     for index in chosen:
-        camera = views[index].images[THERMAL].camera
-        camera = camera.with_width(min(widest, camera.width))
+        camera = views[index].images[THERMAL].camera.at_most(widest)
         rendering = render(camera)
         image = rendering[THERMAL].image[..., 0].numpy()
         depth = rendering.surface_depth(THERMAL).float().numpy()

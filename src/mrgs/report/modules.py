@@ -21,7 +21,7 @@ from mrgs.maps.crs import LOCAL, require_metres
 from mrgs.maps.draw import draw_map
 from mrgs.maps.modules import find_modules
 from mrgs.maps.options import MapOptions
-from mrgs.maps.surfaces import grid_from_above, median_distance, survey
+from mrgs.maps.surfaces import grid_from_above, median_distance, seen_surfaces
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.measure import NARROW_HOT, NO_PHOTO
 from mrgs.marks.photo_readings import COVERAGE, OF_POINT, PhotoReadings, SightingSums
@@ -197,7 +197,7 @@ def module_table(
     path = run.folder.path
     if run.temperature is None or THERMAL not in run.modalities:
         raise RunError(f"{path} has no temperatures in °C: train it on thermal photos in °C")
-    scene, survey_ = scene or run.load_scene(), read_survey(path / SURVEY_FILE)
+    scene, survey = scene or run.load_scene(), read_survey(path / SURVEY_FILE)
     require_metres(scene)
     if not has_map(scene) or faces_one_side(scene):
         raise RunError(
@@ -206,7 +206,7 @@ def module_table(
     every, scene = scene, replace(scene, train=scene.survey_views(THERMAL))
     enough = ENOUGH if len(scene.train) < len(every.train_photos(THERMAL)) else math.inf
     baked = bake(run.model, scene.train_cameras, run.temperature, run.device)
-    maps = survey(baked, scene)
+    maps = seen_surfaces(baked, scene)
     focal = np.median([photo.camera.focal_px for photo in scene.train_photos(THERMAL)])
     pixel, least = median_distance(maps) / float(focal), min(size_m)
     if pixel > COARSEST * least:
@@ -223,14 +223,14 @@ def module_table(
     )  # fmt: skip
     corners = (found.corners + np.array([grid.left, grid.top, 0.0])) @ grid.axes
     seen = _Seen.by_photos(run, scene, corners, pixel)
-    budget, irradiance = Budget.of(scene, survey_), survey_.irradiance_w_m2
+    budget, irradiance = Budget.of(scene, survey), survey.irradiance_w_m2
     rows = tuple(_judged(seen, found.numbers, budget, irradiance, power_w, yield_kwh, pixel))
     names = tuple(f"R{row}.{line}-{place}" for row, line, place in found.numbers.tolist())
     width, height = found.sides.tolist()
     shown = TemperatureMap(drawn, False, scene.world.north)
     sides, notes = (width, height), budget.notes
     return ModuleTable(
-        scene, shown, names, corners, rows, sides, pixel, survey_, power_w, yield_kwh, notes
+        scene, shown, names, corners, rows, sides, pixel, survey, power_w, yield_kwh, notes
     )
 
 

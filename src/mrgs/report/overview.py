@@ -16,7 +16,7 @@ from mrgs.maps.crs import LOCAL, coordinate_system
 from mrgs.maps.draw import OrthographicMap, draw_map, frame_map, map_body, map_scale
 from mrgs.maps.facade import facade_grid
 from mrgs.maps.options import MapOptions
-from mrgs.maps.surfaces import grid_from_above, survey
+from mrgs.maps.surfaces import grid_from_above, seen_surfaces
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import pixel_cm_text
@@ -294,7 +294,7 @@ def draw_temperature_map(
         found = celsius if regions is None else regions.corrected_at(points, celsius)
         return found, np.full_like(celsius, np.nan)
 
-    maps = survey(baked, scene)
+    maps = seen_surfaces(baked, scene)
     options, metric = MapOptions(), scene.world.metric
     if faces_one_side(scene):
         grid, coverage, north = facade_grid(scene, maps, options, MOST_PX), None, False

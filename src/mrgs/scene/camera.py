@@ -234,6 +234,10 @@ class Camera:
         """The same camera on a pixel grid of this width, its height in proportion."""
         return self.resized(width, max(1, round(self.height * width / self.width)))
 
+    def at_most(self, width: int) -> Camera:
+        """The same camera on a pixel grid of at most this width."""
+        return self if self.width <= width else self.with_width(width)
+
     def moved(self, motion: Float64[Tensor, "4 4"]) -> MovedCamera:
         """The camera as it sees a world that a rigid motion has moved, to learn that motion."""
         return MovedCamera(self, motion)

@@ -136,11 +136,6 @@ def surveying(
         chosen.append(best)
 
 
-def reduced(camera: Camera) -> Camera:
-    """The camera, its image at most ``MAX_WIDTH_PX`` wide."""
-    return camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX)
-
-
 def before_background(render: SurfaceRenderer, bounds: SceneBounds | None) -> SurfaceRenderer:
     """Renders a model without the background of its scene, where the bounds are known: nothing can
     be measured on the sky."""
@@ -214,7 +209,7 @@ class PhotoSurvey(DepthMaps):
         self._render = render
 
     def _seen(self, number: int) -> DepthMap:
-        small = reduced(self.cameras[number])
+        small = self.cameras[number].at_most(MAX_WIDTH_PX)
         rendering = self._render(small).cpu()
         values = torch.full((small.height, small.width), torch.nan)
         if THERMAL in rendering:

@@ -20,6 +20,7 @@ from mrgs.method.camera_model.pose_error import (
 from mrgs.method.config import TrainConfig
 from mrgs.render import render
 from mrgs.scene import THERMAL, Camera, Modality, Pixels
+from mrgs.scene.view import evenly_spaced
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import PhotographedView, coarser, pixel_sizes, temperature_degree
 
@@ -68,12 +69,6 @@ def looked_at(
     return coarser(cameras, photos, pixel_size)
 
 
-def spread(count: int, most: int) -> list[int]:
-    """Numbers of the views that are inspected: all, or ``most`` from all over."""
-    taken = min(count, most)
-    return [place * count // taken for place in range(taken)]
-
-
 class PoseCheck:
     """Compares the photos of a training whose image model may refine poses with what its model
     shows by now; ``load`` gives a training view with its photos, by its number."""
@@ -88,7 +83,7 @@ class PoseCheck:
     def agreement(self) -> PoseAgreement:
         """How far typical photos are off, in the pixels that are inspected, without a motion of the
         scene as a whole: the model may be too small as yet."""
-        numbers = spread(len(self._poses.motions), MOST_VIEWS)
+        numbers = evenly_spaced(len(self._poses.motions), MOST_VIEWS)
         halves = []
         for number in numbers:
             images = self._seen(number)

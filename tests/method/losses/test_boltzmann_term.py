@@ -8,7 +8,7 @@ from torch import Tensor
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Boltzmann
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered
@@ -39,7 +39,7 @@ def small_context(
         photos={THERMAL: Pixels(photo)},
         cameras={THERMAL: Camera(torch.eye(3), torch.eye(4), 24, 20)},
         gaussians=random_gaussians(3),
-        dilation=AS_PUBLISHED,
+        dilation=Dilation(),
         scale=SceneScale(3.0, temperature),
         render=not_rendered,
     )

@@ -21,7 +21,7 @@ from mrgs.method.losses.distortion import (
 )
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import configured_terms
-from mrgs.rasterizer.contract import AS_PUBLISHED, Geometry, Projection
+from mrgs.rasterizer.contract import Dilation, Geometry, Projection
 from mrgs.scene import RGB, THERMAL, Camera, Gaussians, Modality, Rendering
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered, small_camera
@@ -78,7 +78,7 @@ def test_a_wall_costs_nothing_seen_obliquely_and_a_slab_does(tilt):
 
 def context(cameras: Mapping[Modality, Camera], gaussians: Gaussians) -> LossContext:
     nothing, scale = Rendering({}), SceneScale(3.0, None)
-    return LossContext(nothing, nothing, {}, cameras, gaussians, AS_PUBLISHED, scale, not_rendered)
+    return LossContext(nothing, nothing, {}, cameras, gaussians, Dilation(), scale, not_rendered)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_it_looks_through_the_camera_with_the_finest_pixels(cameras, finest):
     parameters = [p.requires_grad_() for p in (*moved, gaussians.opacity_logits[finest])]
     value = Distortion(0.1, 0).value(context(cameras, gaussians))
     camera = cameras[finest].resized(8 // PIXEL_SIZE, 6 // PIXEL_SIZE)
-    projection = AS_PUBLISHED.projection(camera, gaussians.means.device)
+    projection = Dilation().projection(camera, gaussians.means.device)
     depths = inverse_depths(Geometry.of(gaussians), gaussians.opacity(finest), projection)
     assert value == distortion_loss(depths)
     for gradient in torch.autograd.grad(value, parameters):

@@ -11,7 +11,7 @@ from torch import Tensor
 from mrgs.method.losses.photometric import opaqueness_loss
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Opaqueness
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Rendering
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered, small_camera
@@ -34,7 +34,7 @@ def context(
 ) -> LossContext:
     rendering = Rendering({RGB: blend(RGB, light), THERMAL: heat})
     gaussians, scale = random_gaussians(3, shares_opacity), SceneScale(3.0, None)
-    return LossContext(rendering, rendering, {}, cameras, gaussians, AS_PUBLISHED, scale, render)
+    return LossContext(rendering, rendering, {}, cameras, gaussians, Dilation(), scale, render)
 
 
 def loss_of(light: float, heat: Blend) -> Tensor:

@@ -14,7 +14,7 @@ from mrgs.method.losses.photometric import photometric_loss
 from mrgs.method.losses.smoothness import similarity_of, total_variation
 from mrgs.method.losses.term import LossContext, SceneScale, Term
 from mrgs.method.losses.terms import configured_terms, term_values
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Pixels, Rendering
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered, small_camera
@@ -36,9 +36,7 @@ def context(cameras: Mapping[Modality, Camera], render=not_rendered) -> LossCont
     rendering = Rendering({each: shown(each, 1) for each in cameras})
     photos = {each: Pixels(values(each.channels, 2), None) for each in cameras}
     gaussians, scale = random_gaussians(3), SceneScale(3.0, None, NOISE)
-    return LossContext(
-        rendering, rendering, photos, cameras, gaussians, AS_PUBLISHED, scale, render
-    )
+    return LossContext(rendering, rendering, photos, cameras, gaussians, Dilation(), scale, render)
 
 
 def terms_of(method: str) -> dict[str, Term]:

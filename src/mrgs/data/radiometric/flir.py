@@ -276,7 +276,7 @@ def _visible(records: Records, path: Path) -> tuple[VisibleImage | None, tuple[s
     if content is None:
         return None, ()
     image = content[_IMAGE_OFFSET:]
-    if not image.startswith((b"\x89PNG", b"\xff\xd8\xff")):
+    if not image.startswith((_PNG, JPEG_SIGNATURE)):
         return None, (
             "The photo in visible light inside the file is of an unknown kind; left out.",
         )

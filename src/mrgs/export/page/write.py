@@ -276,7 +276,7 @@ def visible_range(
     in its unit, with the temperatures of regions corrected."""
     seen = []
     for index in evenly_spaced(len(cameras), RANGE_VIEWS):
-        small = cameras[index].with_width(RANGE_WIDTH_PX)
+        small = cameras[index].at_most(RANGE_WIDTH_PX)
         rendering = baked.render({modality: small})
         if regions is not None:
             rendering = regions.applied_to(rendering, small)

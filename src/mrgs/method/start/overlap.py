@@ -142,13 +142,13 @@ def _of_flat_field(folder: Path, unit: str | None, photo: PosedImage) -> Float[T
     if not files:
         raise refused(f"{folder} holds no photos: name a folder of photos of a uniform target")
     own = probe(photo.files[0]) if photo.files else photo.camera
-    frames, guesses = [], {None, "celsius"}
+    frames, known_units = [], {None, "celsius"}
     for path in files:
         read = read_thermal_photo(path, overrides)
-        celsius, unit = read.temperature_c, read.facts.unit
-        if unit not in guesses:
-            guesses.add(unit)
-            warn_user(f"the numbers in {path} are taken for {unit}, which the file does not say")
+        celsius, guess = read.temperature_c, read.facts.unit
+        if guess not in known_units:
+            known_units.add(guess)
+            warn_user(f"the numbers in {path} are taken for {guess}, which the file does not say")
         if celsius is None:
             raise refused(f"{path} has no °C: take radiometric photos of the target")
         height, width = celsius.shape

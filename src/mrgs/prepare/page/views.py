@@ -57,7 +57,7 @@ def preview_of_pixels(
     images = {
         modality: PreviewImage(
             _shown(modality, found.values, found.valid, temperature, width),
-            view.images[modality].camera.with_width(min(width, view.images[modality].camera.width)),
+            view.images[modality].camera.at_most(width),
         )
         for modality, found in pixels.items()
     }

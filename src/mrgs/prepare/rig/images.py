@@ -137,7 +137,7 @@ def reduced_pair(
     target's; and the thermal file's width and height. SceneError if an image cannot be read."""
     thermal = pair.load_thermal()
     height, width = thermal.values.shape[:2]
-    camera = pair.photo.camera.with_width(min(PHOTO_WIDTH_PX, pair.photo.camera.width))
+    camera = pair.photo.camera.at_most(PHOTO_WIDTH_PX)
     visible = None
     if pair.visible is not None:
         visible = np.append(pair.visible.numpy(), len(points) + np.arange(len(target)))
