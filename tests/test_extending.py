@@ -178,7 +178,7 @@ def test_a_camera_maker(kitchen: Kitchen, tmp_path: Path) -> None:
     file = tmp_path / "photo.acme"
     file.write_bytes(b"ACME" + np.array([4, 3], "<u2").tobytes() + celsius.tobytes())
     relative = file.relative_to(tmp_path)
-    assert inspect(file, relative) == "is no photo"
+    assert inspect(file, relative) == "is not a photo"
     kitchen.cook("A camera maker")
     np.testing.assert_array_equal(read_thermal_photo(file).temperature_c, celsius)
     found = inspect(file, relative)

@@ -404,7 +404,7 @@ def test_colours_that_cannot_be_read_are_missed(photos):
     assert all("HEIC" in item.reason for item in found.skipped)
     video = b"\0\0\0\x18ftypmp42" + bytes(40)
     files |= {f"rgb/{index}.JPG": (video, {}) for index in range(3)}
-    assert all(item.reason == "is no photo" for item in find_pairs(photos(files, "b")).skipped)
+    assert all(item.reason == "is not a photo" for item in find_pairs(photos(files, "b")).skipped)
     assert any("no colours" in warning for warning in found.warnings)
 
 

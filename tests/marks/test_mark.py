@@ -52,7 +52,7 @@ def test_marks_survive_json(mark):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (3, "is no mark"),
+        (3, "is not a mark"),
         ({**SPOT.to_json(), "colour": "red"}, "'colour'"),
         ({**SPOT.to_json(), "points": "here"}, "points"),
         ({**SPOT.to_json(), "points": [[1, 2]]}, r"points\[0\]"),

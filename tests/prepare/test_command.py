@@ -40,7 +40,7 @@ def asked(stand_in) -> list:
         )
         for stage in stages:
             report(stage)
-        skipped = tuple(Skipped(f"{number}.txt", "is no photo") for number in range(25))
+        skipped = tuple(Skipped(f"{number}.txt", "is not a photo") for number in range(25))
         return Preparation(scene, scene / "prepare.html", stages, skipped)
 
     stand_in(prepare)

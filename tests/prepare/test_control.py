@@ -162,7 +162,7 @@ def test_a_mark_beside_no_chequer_target_counts_as_it_is():
     control = surveyed("AK")
     control.points["A"].chequer = True
     found, warnings = at_chequers(control, lambda view: targets(view, "K" if view == "v3" else "A"))
-    assert warnings == ("A is no chequer target in v3: its mark there counts as it is.",)
+    assert warnings == ("A is not a chequer target in v3: its mark there counts as it is.",)
     assert found.points["A"].marks["v3"] == control.points["A"].marks["v3"]
     assert found.points["A"].marks["v2"] != control.points["A"].marks["v2"]
     assert found.points["K"] == control.points["K"]

@@ -39,7 +39,7 @@ BOUNDS = Overrides(bounds_c=(10.0, 30.0))
 
 @pytest.fixture
 def photos(small_scene: Path, tmp_path: Path) -> Path:
-    """Eight pairs in folders of their own, under other names, and a file that is no photo."""
+    """Eight pairs in folders of their own, under other names, and a file that is not a photo."""
     folder = tmp_path / "photos"
     for own, name in (("images", "rgb"), ("thermal", "thermal")):
         (folder / name).mkdir(parents=True)

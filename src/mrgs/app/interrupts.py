@@ -155,7 +155,7 @@ def guard_streams(on_lost: Callable[[OSError], None]) -> None:
 class _Guarded(io.RawIOBase):
     """An unbuffered stream; the first write that fails is reported, and later ones do nothing.
 
-    It keeps the stream that Python made: the one of a console on Windows is no file.
+    It keeps the stream that Python made: the one of a console on Windows is not a file.
     """
 
     def __init__(self, stream: io.RawIOBase, on_lost: Callable[[OSError], None]) -> None:

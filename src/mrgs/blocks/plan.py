@@ -274,7 +274,7 @@ def make_plan(
 
 
 def read_plan(path: Path) -> BlockPlan | None:
-    """The plan in a file; None if there is none. RunError if it is no plan of this version."""
+    """The plan in a file; None if there is none. RunError if it is not a plan of this version."""
     if not path.exists():
         return None
     try:

@@ -146,7 +146,7 @@ def viewmat_from_opengl(
     camera_to_world: NDArray[np.float64], what: str, file: Path
 ) -> Float64[Tensor, "4 4"]:
     """World to camera with OpenCV axes, from nerfstudio's camera to world with OpenGL axes, [3 or
-    4, 4]. SceneError if it is no rigid motion."""
+    4, 4]. SceneError if it is not a rigid motion."""
     rotation = nearest_rotation(camera_to_world[:3, :3], what, file)
     if not ends_in_last_row(camera_to_world):
         raise scene_error(file, f"the last row of {what} is not 0 0 0 1; correct it")

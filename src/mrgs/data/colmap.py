@@ -296,7 +296,7 @@ _THERMAL_WORD, _WORD = (
 """The same names as words of paths, by which the images of one folder are told apart."""
 
 COLOURED = 0.01
-"""Standard deviation of the channels, 0 to 1, from which on an image is no grey one in colour."""
+"""Standard deviation of the channels, 0 to 1, from which on an image is not grey."""
 
 Registered = dict[tuple[Modality, str], RegisteredImage]
 """Registered images by modality and key."""

@@ -264,7 +264,7 @@ def read_float_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
     damaged, or of another kind."""
     with opened(path, formats=("TIFF",)) as image:
         if image.mode != "F":
-            raise scene_error(path, f"is no TIFF with one float32 channel (mode {image.mode})")
+            raise scene_error(path, f"is not a TIFF with one float32 channel (mode {image.mode})")
         return numbers_of(image)
 
 
@@ -353,7 +353,7 @@ def _most_pixels(size: int) -> int:
     except (ValueError, OverflowError):
         most = 0
     if most <= 0:
-        raise ConfigError(f"{LIMIT_VARIABLE}={quoted(stated)} is no number of megapixels")
+        raise ConfigError(f"{LIMIT_VARIABLE}={quoted(stated)} is not a number of megapixels")
     Image.MAX_IMAGE_PIXELS = max(most, Image.MAX_IMAGE_PIXELS or 0)  # Pillow refuses twice as many
     return most
 
@@ -363,7 +363,7 @@ def _opened_by_gdal(
 ) -> Image.Image:
     """A TIFF of one channel that Pillow does not know, or misreads: integers of 8 and 16 bits
     without a scale as they are, others as 32-bit floats, or as 32-bit integers if it
-    ``has_integers``; ``UnidentifiedImageError`` if it is no TIFF at all."""
+    ``has_integers``; ``UnidentifiedImageError`` if it is not a TIFF at all."""
     file.seek(0)
     data = file.read(MAX_FILE_BYTES)
     if not data.startswith(TIFF_SIGNATURES):

@@ -21,7 +21,7 @@ class KernelSpec(NamedTuple):
     """One specialisation of a ``@triton.jit`` kernel, with the constants that its launch uses.
 
     Attributes:
-        signature: type of every argument that is no constant, by name: "*fp32", "*i32", "*i64",
+        signature: type of every argument that is not a constant, by name: "*fp32", "*i32", "*i64",
             "i32", "fp32", ... Tensors are compiled as the launcher finds them: their first element
             lies at a multiple of 16 bytes.
         constexprs: value of every ``tl.constexpr`` argument, by name; and None for a tensor that

@@ -61,8 +61,8 @@ def _short(dtype: torch.dtype) -> str:
 
 
 def listed(rows: Tensor | None, count: int) -> Tensor:
-    """The rows, on the CPU; all ``count`` of them if None. ValueError if they are no list of int64,
-    IndexError for rows that do not exist."""
+    """The rows, on the CPU; all ``count`` of them if None. ValueError if they are not a list of
+    int64, IndexError for rows that do not exist."""
     if rows is None:
         return torch.arange(count)
     require_indices("rows", rows, (None,), count)

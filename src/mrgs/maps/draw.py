@@ -141,7 +141,7 @@ def _draw_part(
     points[surface] = surfaces.unprojected(camera, depth)[surface]
     if RGB in scene.modalities:
         blend = splats.render({RGB: camera})[RGB]
-        # The light that gets through gaps between splats is black: it is no colour of a surface.
+        # The light that gets through gaps between splats is black: it is not a colour of a surface.
         opaque = blend.image / blend.alpha.clamp_min(LEAST_ALPHA)[..., None]
         colors[:, surface] = 255 * to_array(opaque).clip(0, 1)[surface].T
     return colors, points

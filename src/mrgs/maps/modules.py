@@ -35,7 +35,7 @@ FITS, ALIGNED, GAP, HOLE = 0.1, 0.2, 0.15, 0.3
 neighbour, the widest gap within a table, and by how much a hole for one may be too narrow."""
 
 JUMP, FEWEST = 3.3, 4
-"""Widths within which the next module still is in the row; fewer modules are no plant."""
+"""Widths within which the next module still is in the row; fewer modules are not a plant."""
 
 REACH, STRAY_M, ROUNDS = 3, 0.02, 12
 """The grid about a module is fitted to those at most so many places away, with weights that fall

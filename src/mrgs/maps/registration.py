@@ -43,7 +43,7 @@ TOLERANCE = 0.02
 """Largest distance of a pair of points after registration, as a share of the median depth."""
 
 FEWEST_MATCHES, LEAST_SHARE = 100, 0.12
-"""Fewer pairs that agree, or a smaller share of all, are no registration: of photos of different
+"""Fewer pairs that agree, or a smaller share of all, are not a registration: of photos of different
 generated objects chance made at most 5 % agree, and of one façade 68 % did."""
 
 LEAST_AGREEMENT = 0.6

@@ -408,7 +408,7 @@ CELL = 1.5
 """Side of the cells in which the surfaces of several photos are put together, in their pixels."""
 
 LEAST_POINTS = 3
-"""Fewer of them in a cell are no surface."""
+"""Fewer of them in a cell are not a surface."""
 
 
 class ShownPlaces:

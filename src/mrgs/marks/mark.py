@@ -98,7 +98,7 @@ class Mark:
         try:
             mark = from_json(cls, value)
         except ValueError as error:
-            raise ConfigError(f"{shown(value)} is no mark: {error}") from None
+            raise ConfigError(f"{shown(value)} is not a mark: {error}") from None
         if unknown := value.keys() - {field.name for field in fields(cls)}:
             raise ConfigError(f"a mark has no field {shown(min(unknown))}")
         return mark

@@ -329,7 +329,7 @@ def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
 def with_flat_field(config: TrainConfig, folder: Path, unit: str | None = None) -> TrainConfig:
     """The configuration with the camera's shading as in a folder of thermal photos of a uniform
     target, whose numbers have a unit such as ``kelvin*100`` unless their files say it. ConfigError
-    if that is no folder, or the image model has no shading."""
+    if that is not a folder, or the image model has no shading."""
     model = config.image_model
     if not model.thermal_shading:
         raise ConfigError(

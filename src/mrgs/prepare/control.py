@@ -184,7 +184,7 @@ def at_chequers(
                 lost.setdefault(name, []).append(view)
             else:
                 point.marks[view] = float(found[0]), float(found[1])
-    text = "{} is no chequer target in {}: its mark there counts as it is."
+    text = "{} is not a chequer target in {}: its mark there counts as it is."
     warnings = (text.format(name, ", ".join(views)) for name, views in lost.items())
     return replace(control, points=points), tuple(warnings)
 

@@ -59,7 +59,7 @@ MIN_POINTS = 3
 """Smallest number of points of a view in a cube; fewer are a sliver at a grazing angle."""
 
 LARGE_SHARE = 0.04
-"""Share of a picture above which something that reaches its border is no anomaly."""
+"""Share of a picture above which something that reaches its border is not an anomaly."""
 
 LEFT_OUT_SHARE = 0.2
 """Share of the separation within which neighbours of a rejected cube are skipped."""

@@ -83,7 +83,7 @@ the edge of that place."""
 
 MOST_PLACES, MOST_CORNERS, MOST_PIECES = 2_000_000, 100, 9
 MOST_CUBES = 2**62
-"""Numbers of more cubes are no integers of 64 bits."""
+"""Numbers of more cubes are not integers of 64 bits."""
 
 
 ChangeKind = Literal["new", "gone", "grown", "shrunk", "warmer", "colder"]

@@ -309,7 +309,7 @@ def _judged(
         whole, doubt = (np.nanmedian(each, axis=(1, 2)) for each in (seen.celsius, seen.around))
         beside, spread = _beside(whole, numbers)
     usual = np.repeat(thirds, [each.shape[2] for each in parts], axis=1)[:, None]
-    usual = ndimage.maximum_filter1d(usual, 5, axis=2)  # the edge of a hot third is no cell
+    usual = ndimage.maximum_filter1d(usual, 5, axis=2)  # the edge of a hot third is not a cell
     excess = np.nan_to_num(seen.celsius - usual)
     smooth = _mean_over(excess, SHOWN * seen.celsius.shape[2] / CELLS)
     known = np.isfinite(seen.celsius).mean(axis=(1, 2)) > 0.5

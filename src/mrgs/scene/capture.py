@@ -109,7 +109,7 @@ class Capture:
 
     @property
     def lacks_celsius(self) -> bool:
-        """Whether there are thermal photos whose values are no temperatures."""
+        """Whether there are thermal photos whose values are not temperatures."""
         return any(self.thermal_viewpoints) and not self.has_celsius
 
     @property

@@ -77,7 +77,7 @@ class Modality:
         try:
             return from_json(cls, value)
         except ValueError as error:
-            raise ValueError(f"this is no modality: {error}") from None
+            raise ValueError(f"this is not a modality: {error}") from None
 
 
 RGB = Modality("rgb", 3, title="RGB")

@@ -46,7 +46,7 @@ class TemperatureRange:
     @classmethod
     def around(cls, low: float, high: float) -> TemperatureRange:
         """The range of these temperatures, °C, rounded outwards to whole degrees, and at least one
-        degree wide. ValueError if they are no temperatures in °C."""
+        degree wide. ValueError if they are not temperatures in °C."""
         first = math.floor(low)
         return cls(float(first), float(max(math.ceil(high), first + 1)))
 

@@ -80,7 +80,7 @@ def sync_debug_mode(mode: Literal["warn", "error"], cuda: Any = torch.cuda) -> I
 
 
 def _set_sync_debug_mode(mode: int | str, cuda: Any) -> None:
-    """torch's notice that it may miss some waits is left out: it is no warning to the user, and
+    """torch's notice that it may miss some waits is left out: it is not a warning to the user, and
     where warnings are errors it would leave the mode on."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Synchronization debug mode is a prototype")

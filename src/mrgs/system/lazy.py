@@ -18,7 +18,7 @@ def lazy_imports(package: str) -> tuple[Callable[[str], Any], Callable[[], list[
     checkers see.
 
     These stand under ``if TYPE_CHECKING:``, each as ``from module import name as name``, which
-    marks the name as exported. Modules of the package itself are no part of ``__all__``::
+    marks the name as exported. Modules of the package itself are not part of ``__all__``::
 
         __getattr__, __dir__, __all__ = lazy_imports(__name__)
     """

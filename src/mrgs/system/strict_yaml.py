@@ -103,7 +103,7 @@ class _StrictLoader(yaml.SafeLoader):
         seen = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
-                raise yaml.YAMLError("a key is no plain value")
+                raise yaml.YAMLError("a key is not a plain value")
             if (key.tag, key.value) in seen:
                 raise yaml.YAMLError(f"duplicate key {shown(key.value)}")
             seen.add((key.tag, key.value))

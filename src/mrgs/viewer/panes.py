@@ -329,7 +329,7 @@ def read_point(
     A value is that of the rendered image. Its deviation is the standard deviation, over all that
     makes up the pixel with its blending weights w_i (the splats, and the background with T_end), of
     their own values; that of the depth is over the splats. It is large where the model mixes much,
-    at an edge or where its surface is not thin. It is no error bar against the true value.
+    at an edge or where its surface is not thin. It is not an error bar against the true value.
 
     Args:
         u: to the right, 0 to 1 over the image.

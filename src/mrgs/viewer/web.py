@@ -342,7 +342,7 @@ def _host_name(header: str) -> str | None:
     """The name in a ``Host`` header, without port and brackets, lower case; None for nonsense."""
     try:
         parts = urlsplit(f"//{header}")
-        parts.port  # noqa: B018 - raises for a port that is no number
+        parts.port  # noqa: B018 - raises for a port that is not a number
     except ValueError:
         return None
     return parts.hostname if parts.netloc == header and "@" not in header else None

@@ -85,7 +85,9 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Work:
         StageReport("thermal camera", ("55.0° wide.",), (), 4.0, True),
     ]
     work = Work(scene, scene, images=photos, poses=reconstruction, rig=rig, reports=stages)
-    work.pairing = Pairing((), (Skipped("notes <script>alert(1)</script>.txt", "is no photo"),), "")
+    work.pairing = Pairing(
+        (), (Skipped("notes <script>alert(1)</script>.txt", "is not a photo"),), ""
+    )
     work.georeference = georeference
     write_scene(work)
     return work

@@ -70,7 +70,7 @@ def test_the_page_tells_what_was_understood_and_what_to_do_next(page):
         "0.60 px (median), 1.40 px", "in 4 pairs; median residual 0.31 px", "By GPS.",
         "0.40 m (median)",
         "Set the scale by a known distance", "The scene is in metres already.",
-        "IMG_7.jpg", "is cut off", "is no photo",
+        "IMG_7.jpg", "is cut off", "is not a photo",
     ):  # fmt: skip
         assert words in page.text, words
 

@@ -564,7 +564,7 @@ def test_hidden_files_do_not_count_and_others_are_listed(photos):
     root = photos({**content, "sub/2.heic": b"x"})
     os.symlink(root / "sub", root / "again")
     assert_left_out(
-        find_pairs(root), {"again": "link", "log.srt": "no photo", "sub/2.heic": "JPEG or PNG"}
+        find_pairs(root), {"again": "link", "log.srt": "not a photo", "sub/2.heic": "JPEG or PNG"}
     )
 
 

@@ -98,9 +98,9 @@ def test_a_photo_with_a_long_header_is_read_whole(seen):
         ("a.jpg", b"\xff\xd8\xff\xe0 no", "decoded"),
         ("a.png", b"\x89PNG\r\n\x1a\n no", "decoded"),
         ("a.heic", b"ftypheic", "HEIC"),
-        ("a.csv", b"rgb,thermal\na,b\n", "no photo"),
-        ("a.raw", b"1234", "no photo"),
-        ("flight.mp4", b"1234", "no photo"),
+        ("a.csv", b"rgb,thermal\na,b\n", "not a photo"),
+        ("a.raw", b"1234", "not a photo"),
+        ("flight.mp4", b"1234", "not a photo"),
     ],
 )
 def test_what_cannot_be_used(seen, name, content, reason):

@@ -45,7 +45,7 @@ def read_r_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     run with a time limit, and what it writes is checked like any file. Overrides of emissivity,
     distance, humidity, reflected and air temperature are handed on; the photo's own count
     otherwise. ToolError if the tool is not installed, cannot be run, does not end or fails;
-    SceneError if it writes what is no image of a DJI camera."""
+    SceneError if it writes what is not an image of a DJI camera."""
     tool = shutil.which(TOOL)
     if tool is None:
         raise _tool_error(
@@ -109,7 +109,7 @@ def _tool_error(path: Path, problem: str) -> ToolError:
 def read_bare_numbers(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     """The photo in a ``.raw`` file of ``dji_irp -a measure``: float32 in °C, or int16 in 0.1 °C;
     little-endian, of one of ``SIZES`` by its length. SceneError if no DJI camera gives this length,
-    or the numbers are no temperatures."""
+    or the numbers are not temperatures."""
     facts = PhotoFacts("output of DJI's Thermal SDK")
     return _bare_numbers(data, path, facts, overrides, f"has {len(data)} bytes")
 
@@ -123,5 +123,5 @@ def _bare_numbers(
                 values = np.frombuffer(data, form).reshape(height, width).astype(np.float32)
                 return finished(values, unit, path, facts, overrides)
     raise scene_error(
-        path, f"{has}, which is no image of a DJI camera; make it with {TOOL} -a measure"
+        path, f"{has}, which is not an image of a DJI camera; make it with {TOOL} -a measure"
     )

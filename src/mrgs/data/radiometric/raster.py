@@ -35,7 +35,7 @@ _GREY_TOLERANCE = 8
 """Channels that differ by at most this many of 255 steps are one shade, saved as a colour JPEG."""
 
 SATURATED, _MISSING = 65_535, -9_999
-"""Integers that are no temperatures: the largest of 16 bits; this or less, for missing pixels."""
+"""Integers that are not temperatures: the largest of 16 bits; this or less, for missing pixels."""
 
 _NO_VALUE = -999.0
 """What some programs write for a pixel without value, as the smallest number of a picture."""
@@ -72,7 +72,7 @@ def read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
         if values.min() < 0 or values.max() > 65535:
             raise scene_error(
                 path,
-                "holds integers that are no 16-bit shades of grey; give a unit instead of bounds",
+                "holds integers that are not 16-bit shades of grey; give a unit instead of bounds",
                 options=("unit", "bounds_c"),
             )
         return _from_grey(values / 65535, path, facts, overrides)

@@ -32,7 +32,7 @@ _THOUSANDS = re.compile(r"(?<=\d)[ '’](?=\d{3}(?!\d))")
 _QUOTED = re.compile(r"\"[^\"]*\"|'[^']*'")
 _WHOLE_AND_DECIMALS = re.compile(r"(?<![^,])([+-]?\d+),(\d+)(?![^,])")
 _SEPARATORS = (";", "\t", ",", " ")
-"""The first that gives a table is the one; where it is no comma, commas are decimal commas."""
+"""The first that gives a table is the one; where it is not a comma, commas are decimal commas."""
 
 _HEADINGS = re.compile(r"(y|v|i|rows?|lines?|zeile)|(x|u|j|col\w*|spalte)|([tcfk]|temp.*|celsius)")
 _NO_HEADING = re.compile(r"[\[(/].*|pixel|px|pos(?:ition)?|coord\w*|index|[\W\d_]")
@@ -44,11 +44,11 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     them numbers.
 
     Other lines are left out, and so is a text at the start of its lines; a unit that they name is
-    that of the numbers, unless it is that of a number there. What is no number is a pixel without
-    temperature. The separator is a semicolon, a tab, a comma or a blank; a comma inside quotes, or
-    beside another separator, is a decimal comma, and where commas are both, every second one. Under
-    headings lines may be a pixel's place and temperature. SceneError if there is no such block, or
-    the numbers are no temperatures. Only ``unit`` of the ``overrides`` is used."""
+    that of the numbers, unless it is that of a number there. A cell that is not a number is a pixel
+    without temperature. The separator is a semicolon, a tab, a comma or a blank; a comma inside
+    quotes, or beside another separator, is a decimal comma, and where commas are both, every second
+    one. Under headings lines may be a pixel's place and temperature. SceneError if there is no such
+    block, or the numbers are not temperatures. Only ``unit`` of the ``overrides`` is used."""
     if len(data) > MAX_BYTES:
         raise scene_error(path, f"has {len(data)} bytes, too long for a photo's table; check it")
     text = decoded_text(data).replace("º", "°").replace("−", "-").replace("–", "-")
@@ -176,7 +176,7 @@ def _picture(table: _Table, beside: list[str], path: Path) -> Float64[np.ndarray
     if values.size == 0 or (not columns and height > 4 * width and width < 8):
         raise scene_error(
             path,
-            f"has {height} lines of {width} numbers, which are no rows of a picture; list each "
+            f"has {height} lines of {width} numbers, which are not rows of a picture; list each "
             f"pixel once, below the headings x, y, t",
         )
     return values

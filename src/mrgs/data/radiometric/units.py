@@ -211,7 +211,7 @@ def camera_units(
     make: str | None, model: str | None, xmp: bytes, path: Path
 ) -> tuple[tuple[str, ...], bool]:
     """Candidate units of a TIFF of integers, and whether its tags state the first; ``xmp`` is its
-    metadata, or empty. SceneError if the tags say that the numbers are no temperatures."""
+    metadata, or empty. SceneError if the tags say that the numbers are not temperatures."""
     band = (match[1].decode("latin-1").strip() if (match := _BAND.search(xmp)) else "").upper()
     if band and not _THERMAL_BANDS.fullmatch(band):
         raise scene_error(path, f"is the band {band} of a multispectral camera, no thermal photo")

@@ -309,6 +309,6 @@ def _photo(
     if path.resolve() not in photos:
         name = path.relative_to(inventory.root.resolve()).as_posix()
         reasons = (item.reason for item in inventory.skipped if item.name == name)
-        why = next(reasons, "is no photo")
+        why = next(reasons, "is not a photo")
         raise scene_error(table, f"line {number}: {shown(text)} {why}; name another file")
     return photos[path.resolve()]

@@ -69,7 +69,7 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         if data[4:12] in _HEIC or data[8:12] == b"WEBP":  # whatever its name says
             return f"is a HEIC, AVIF or WebP file by its content, {NOT_READ}"
         if reader is None:
-            return "is no photo"
+            return "is not a photo"
         photo = _PHOTOS[reader.kind](path, origin, data)
         if isinstance(photo, str):
             return photo
@@ -153,13 +153,13 @@ def _table(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
         or (len(re.split(r"[;,\t]", line)) == 3 and columns_of(line, 3))
         for line in lines
     )
-    return Photo(path, origin, "table") if is_wide else "is no photo"
+    return Photo(path, origin, "table") if is_wide else "is not a photo"
 
 
 def _bare_numbers(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     sizes = {width * height * n for width, height in dji.SIZES for n in (2, 4)}
     is_whole = path.suffix.lower() != ".raw" or path.stat().st_size in sizes
-    return Photo(path, origin, "numbers") if is_whole else "is no photo"
+    return Photo(path, origin, "numbers") if is_whole else "is not a photo"
 
 
 _PHOTOS: dict[Kind, Callable[[Path, PurePosixPath, bytes], Photo | str]] = {

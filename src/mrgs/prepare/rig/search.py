@@ -84,7 +84,7 @@ class Found:
 
     @property
     def stands_out(self) -> bool:
-        """Whether the guess is no chance."""
+        """Whether the guess is unlikely to be chance."""
         least = LEAST_CORRELATION / math.sqrt(self.pairs)
         return self.best.score >= max(CLEAR * self.chance, least)
 
