@@ -9,7 +9,7 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import torch
@@ -109,10 +109,7 @@ def evaluate_run(
         lpips_weights,
         counted.one_more,
         partial(_response_where_rendered, run),
-        parts,
-        ScoredData.of(scene, run.facts.images),
-        pose_error_px,
-        aligned,
+        _OfRun(parts, ScoredData.of(scene, run.facts.images), pose_error_px, aligned),
     )
 
 
@@ -163,6 +160,26 @@ def _held_out_poses(
     return error.photo_px, aligned
 
 
+class _OfRun(NamedTuple):
+    """What the scores of a run have beside those of another program's renderings.
+
+    Attributes:
+        parts: None if the model has none.
+        data: the photos and the truth that are scored against.
+        pose_error_px: of the eval views, see ``Metrics``.
+        aligned: the eval views with aligned poses, which are scored too, and shown on the contact
+            sheet; None where the poses are right.
+    """
+
+    parts: Parts | None = None
+    data: ScoredData | None = None
+    pose_error_px: float | None = None
+    aligned: Sequence[View] | None = None
+
+
+_OF_NO_RUN = _OfRun()
+
+
 def score_views(
     scene: Scene,
     truth: Truth | None,
@@ -172,10 +189,7 @@ def score_views(
     lpips_weights: Path | None = None,
     on_view: Callable[[], None] = lambda: None,
     camera_response: CameraResponse = ideal_cameras,
-    parts: Parts | None = None,
-    data: ScoredData | None = None,
-    pose_error_px: float | None = None,
-    aligned: Sequence[View] | None = None,
+    of_run: _OfRun = _OF_NO_RUN,
 ) -> Metrics:
     """Score renderings of a scene's eval views, and write the scores and the contact sheet into a
     folder. SceneError if the scene has no eval views, or an image cannot be read; RunError if the
@@ -185,11 +199,6 @@ def score_views(
         truth: the scene's exact truth; None if there is none.
         lpips_weights: weights for LPIPS, if not those that torch's hub keeps.
         camera_response: from a rendering to what the cameras record, which the photos show.
-        parts: for the report; None if the model has none.
-        data: of the scores, for the report; None for another program's renderings.
-        pose_error_px: of the eval views, see ``Metrics``.
-        aligned: the eval views with aligned poses, which are scored too, and shown on the contact
-            sheet; None where the poses are right.
     """
     if not scene.eval:
         remedy = (
@@ -218,13 +227,13 @@ def score_views(
         shown.add(next(numbers), metrics, images)
         on_view()
 
-    if aligned is None:
+    if of_run.aligned is None:
         metrics = score(scene.eval, visit=visit)
     else:
         given = score(scene.eval, visit=lambda *_: on_view())
-        metrics = replace(given, aligned=score(aligned, visit=visit))
-    metrics = replace(metrics, pose_error_px=pose_error_px)
-    write_report(output, facts, metrics, parts, data)
+        metrics = replace(given, aligned=score(of_run.aligned, visit=visit))
+    metrics = replace(metrics, pose_error_px=of_run.pose_error_px)
+    write_report(output, facts, metrics, of_run.parts, of_run.data)
     write_png(
         output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature)
     )

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -292,6 +292,42 @@ def _beside(whole: Values, numbers: Int64[np.ndarray, "m 3"]) -> tuple[Values, V
     return found[0], found[1]
 
 
+class _Finding(NamedTuple):
+    """What is hot in a module: °C of the hottest cell, else of the least hot of the hot thirds,
+    else of the whole, with its own uncertainty, K; °C of the hottest place; how many thirds and
+    cells are hot; and the width of the hottest cell, metres, infinite without one."""
+
+    celsius: float
+    own: float
+    hottest_c: float
+    thirds: int
+    cells: int
+    width: float
+
+
+def _findings(seen: _Seen, whole: Values, doubt: Values, beside: Values) -> Iterator[_Finding]:
+    """The finding in each module, by the temperatures of the whole and their uncertainty, and those
+    of the modules beside it."""
+    parts = np.array_split(seen.celsius, 3, axis=2)
+    thirds = np.stack([np.nanmedian(each, axis=(1, 2)) for each in parts], axis=1)
+    usual = np.repeat(thirds, [each.shape[2] for each in parts], axis=1)[:, None]
+    usual = ndimage.maximum_filter1d(usual, 5, axis=2)  # the edge of a hot third is not a cell
+    excess = np.nan_to_num(seen.celsius - usual)
+    smooth = _mean_over(excess, SHOWN * seen.celsius.shape[2] / CELLS)
+    for n, cells in enumerate(smooth):
+        at = np.unravel_index(int(cells.argmax()), cells.shape)
+        hottest = float(usual[n, 0, at[1]] + cells[at])
+        hot = int((thirds[n] - beside[n] >= LEAST_PART_K).sum())
+        spots, count = ndimage.label(cells > max(LEAST_CELL_K, cells[at] / 2))
+        if count:
+            width = seen.step * float(np.sqrt((spots == spots[at]).sum()))
+            yield _Finding(hottest, float(seen.around[n][at]), hottest, hot, count, width)
+        else:
+            warmest = np.sort(thirds[n][np.isfinite(thirds[n])])[::-1]
+            celsius = float(warmest[hot - 1] if hot else whole[n])
+            yield _Finding(celsius, float(doubt[n]), hottest, hot, 0, math.inf)
+
+
 def _judged(
     seen: _Seen,
     numbers: Int64[np.ndarray, "m 3"],
@@ -304,47 +340,35 @@ def _judged(
     """The columns of the table for each module."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # modules that no photo sees
-        parts = np.array_split(seen.celsius, 3, axis=2)
-        thirds = np.stack([np.nanmedian(each, axis=(1, 2)) for each in parts], axis=1)
         whole, doubt = (np.nanmedian(each, axis=(1, 2)) for each in (seen.celsius, seen.around))
         beside, spread = _beside(whole, numbers)
-    usual = np.repeat(thirds, [each.shape[2] for each in parts], axis=1)[:, None]
-    usual = ndimage.maximum_filter1d(usual, 5, axis=2)  # the edge of a hot third is not a cell
-    excess = np.nan_to_num(seen.celsius - usual)
-    smooth = _mean_over(excess, SHOWN * seen.celsius.shape[2] / CELLS)
+        findings = [*_findings(seen, whole, doubt, beside)]
     known = np.isfinite(seen.celsius).mean(axis=(1, 2)) > 0.5
     watts = kwh = None
     if irradiance is not None and power_w is not None:
         watts = power_w * irradiance / NOMINAL_W_M2
         kwh = None if yield_kwh is None else power_w * yield_kwh / 1000
-    stated = irradiance is not None and irradiance >= LEAST_W_M2
-    factor = NOMINAL_W_M2 / irradiance if irradiance is not None and stated else None
-    for n, line_of in enumerate(numbers.tolist()):
-        at = np.unravel_index(int(smooth[n].argmax()), smooth[n].shape)
-        cell = float(smooth[n][at])
-        hottest, doubt_there = float(usual[n, 0, at[1]] + cell), float(seen.around[n][at])
-        hot = int((thirds[n] - beside[n] >= LEAST_PART_K).sum())
-        spots, count = ndimage.label(smooth[n] > max(LEAST_CELL_K, cell / 2))
-        warmest = np.sort(thirds[n][np.isfinite(thirds[n])])[::-1]
-        part, share = float(warmest[hot - 1] if hot else whole[n]), hot / 3
-        celsius, own = (hottest, doubt_there) if count else (part, float(doubt[n]))
-        width = seen.step * float(np.sqrt((spots == spots[at]).sum())) if count else np.inf
-        delta = celsius - float(beside[n])
-        around = math.hypot(own, spread[n], _of_difference(budget, celsius, float(beside[n])))
+    is_enough = irradiance is not None and irradiance >= LEAST_W_M2
+    factor = NOMINAL_W_M2 / irradiance if irradiance is not None and is_enough else None
+    for n, (line_of, found) in enumerate(zip(numbers.tolist(), findings, strict=True)):
+        delta = found.celsius - float(beside[n])
+        shared = _of_difference(budget, found.celsius, float(beside[n]))
         normalised = None if factor is None else factor * delta
         judged = delta if normalised is None else normalised
         level = int(np.searchsorted(LIMITS_K, np.nan_to_num(judged), "right"))
-        lost = max(share, LOSSES[level] if count else 0.0)
+        is_hot = found.thirds or (found.cells and level)
+        lost = max(found.thirds / 3, LOSSES[level] if found.cells else 0.0)
         row: dict[str, Any] = {
             "row": line_of[0], "line": line_of[1], "place": line_of[2],
-            "finding": ", ".join(filter(None, (PARTS[hot], SPOTS[min(count, 2)]))),
-            "class": 1 if not hot and not (count and level) else 3 if level == 2 else 2,
-            "celsius": float(whole[n]), "delta_k": delta, "uncertainty_k": around,
-            "delta_1000_k": normalised, "hottest_c": hottest,
+            "finding": ", ".join(filter(None, (PARTS[found.thirds], SPOTS[min(found.cells, 2)]))),
+            "class": (3 if level == 2 else 2) if is_hot else 1,
+            "celsius": float(whole[n]), "delta_k": delta,
+            "uncertainty_k": math.hypot(found.own, spread[n], shared),
+            "delta_1000_k": normalised, "hottest_c": found.hottest_c,
             "lost_w": None if watts is None else lost * watts,
             "lost_kwh": None if kwh is None else lost * kwh,
             "photos": int(seen.photos[n]),
-            "remark": NARROW_HOT if width < RESOLVED_PX * pixel else "",
+            "remark": NARROW_HOT if found.width < RESOLVED_PX * pixel else "",
         }  # fmt: skip
         if not known[n] or math.isnan(delta):
             row |= dict.fromkeys(NUMBERS) | {"finding": "", "class": None, "remark": NO_PHOTO}
