@@ -18,10 +18,10 @@ from mrgs.prepare.contract import (
 )
 from mrgs.prepare.rig.contract import RigCalibration, RigView, TargetFit
 from mrgs.prepare.stages import (
-    summarize_pairs,
-    summarize_photos,
-    summarize_poses,
-    summarize_thermal_camera,
+    summarise_pairs,
+    summarise_photos,
+    summarise_poses,
+    summarise_thermal_camera,
 )
 from mrgs.scene import RGB, THERMAL, PointCloud
 from mrgs.scene.lens import Lens
@@ -45,21 +45,21 @@ def counts(summary: StageSummary) -> list[str]:
 
 def test_pairs_are_counted(tmp_path):
     pairs = (PhotoPair("a", {THERMAL: tmp_path / "a.jpg"}),)
-    summary = summarize_pairs(
+    summary = summarise_pairs(
         Pairing(pairs, (Skipped("b", "is cut off"),), "By their names.", ("The clocks differ.",))
     )
     assert "By their names." in summary.lines[0]
     assert counts(summary) == ["1 photo", "1 file"]
     rgb = {RGB: tmp_path / "b.jpg", **pairs[0].photos}
     for pair in (replace(pairs[0], embedded=True), replace(pairs[0], photos=rgb)):
-        assert counts(summarize_pairs(Pairing((pair,), (), "By names."))) == ["1 pair"]
+        assert counts(summarise_pairs(Pairing((pair,), (), "By names."))) == ["1 pair"]
     assert summary.warnings == ("The clocks differ.",)
 
 
 def test_warnings_of_photos_are_said_once():
     facts = replace(VIEW.facts, warnings=("It is old.", "It is blurred."))
     other = replace(VIEW, name="b", facts=facts)
-    summary = summarize_photos(
+    summary = summarise_photos(
         ConvertedPhotos((VIEW, other), (Skipped("c", "is cut off"),), ("The distances differ.",))
     )
     assert counts(summary) == ["2 views", "1 pair"]
@@ -73,9 +73,9 @@ def test_warnings_of_photos_are_said_once():
 
 def test_photos_without_temperatures_are_said():
     grey = replace(VIEW, name="b", facts=PhotoFacts("PNG image"), range_c=None)
-    (line,) = summarize_photos(ConvertedPhotos((grey,), ())).lines
+    (line,) = summarise_photos(ConvertedPhotos((grey,), ())).lines
     assert "no temperatures" in line
-    line, _ = summarize_photos(ConvertedPhotos((VIEW, grey), ())).lines
+    line, _ = summarise_photos(ConvertedPhotos((VIEW, grey), ())).lines
     assert "1 without temperatures" in line
 
 
@@ -85,7 +85,7 @@ def test_the_settings_of_the_temperatures_are_said_and_whose_they_are():
     facts = replace(VIEW.facts, parameters=parameters, given=given)
     other = replace(facts, parameters=replace(parameters, distance_m=2.5))
     views = (replace(VIEW, facts=facts), replace(VIEW, name="b", facts=other))
-    line = summarize_photos(ConvertedPhotos(views, ())).lines[1]
+    line = summarise_photos(ConvertedPhotos(views, ())).lines[1]
     for setting in (
         "emissivity 0.70 (given",
         "reflected temperature −10.0 °C (given",
@@ -100,12 +100,12 @@ def test_poses_say_how_well_they_fit():
     found = Reconstruction(
         {}, {}, PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)), None, (), None, "Found."
     )
-    assert summarize_poses(found).lines == ("Found.",)
+    assert summarise_poses(found).lines == ("Found.",)
     failed = replace(
         found, reprojection_px=0.456, failed=(Skipped("a", "blurred"), Skipped("b", "blurred"))
     )
-    assert "0.46 px" in summarize_poses(failed).lines[0]
-    assert counts(summarize_poses(failed)) == ["2 images"]
+    assert "0.46 px" in summarise_poses(failed).lines[0]
+    assert counts(summarise_poses(failed)) == ["2 images"]
 
 
 def calibration(turn_deg: float = 0.0) -> RigCalibration:
@@ -118,7 +118,7 @@ def calibration(turn_deg: float = 0.0) -> RigCalibration:
 
 @pytest.mark.parametrize(("turn_deg", "said"), [(93, 90), (-88, 90), (178, 180), (-179, 180)])
 def test_a_thermal_camera_on_its_side_is_said(turn_deg, said):
-    _, line = summarize_thermal_camera(calibration(turn_deg), RGB, True).lines
+    _, line = summarise_thermal_camera(calibration(turn_deg), RGB, True).lines
     assert f" {said}° " in line
 
 
@@ -137,7 +137,7 @@ def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, off
     if per_unit is not None:
         rig = replace(rig, target=TargetFit(5, 5, (0.1, 0.2), per_unit))
         more = ("5 pairs; residual 0.10 px", *more)
-    summary = summarize_thermal_camera(rig, RGB, metric)
+    summary = summarise_thermal_camera(rig, RGB, metric)
     line, *others = summary.lines
     for told in ("53.1°", offset, "residual 0.28 px", "±0.36 px"):
         assert told in line
@@ -151,5 +151,5 @@ def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, off
 
 def test_without_a_second_camera_that_is_said():
     for modality, told in ((RGB, "One camera"), (THERMAL, "only thermal")):
-        (line,) = summarize_thermal_camera(None, modality, True).lines
+        (line,) = summarise_thermal_camera(None, modality, True).lines
         assert told in line

@@ -36,7 +36,7 @@ from mrgs.run_files.facts import CheckpointFacts, facts_to_resume
 from mrgs.run_files.folder import RunFolder
 from mrgs.scene import Gaussians, Scene
 from mrgs.scene.capture import model_modalities
-from mrgs.system.atomic import write_error
+from mrgs.system.atomic import LOCK, write_error
 from mrgs.system.gpu import DeviceName
 from mrgs.system.torch_modes import seeded
 from mrgs.training import checkpoint
@@ -225,7 +225,7 @@ class BlockTraining:
         """Within this block no other process plans or joins."""
         try:
             self._below.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(self._below / ".lock")
+            lock = FileLock(self._below / LOCK)
             try:
                 lock.acquire(timeout=0)
             except Timeout:

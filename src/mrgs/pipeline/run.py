@@ -27,6 +27,7 @@ from mrgs.prepare.sfm.reconstruct import check_version, installed_version
 from mrgs.run_files.folder import CHECKPOINTS_KEPT, RunFolder
 from mrgs.scene import THERMAL
 from mrgs.system import gpu
+from mrgs.system.atomic import LOCK
 from mrgs.system.disk import free_disk
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.memory import free_memory
@@ -163,7 +164,7 @@ def _require_own(source: Path, output: Path) -> None:
     try:
         if own.is_relative_to(source.resolve()):
             problem = "lies in the folder of the photos: choose another folder"
-        elif own.is_dir() and not (own / LEDGER).is_file() and set(os.listdir(own)) - {".lock"}:
+        elif own.is_dir() and not (own / LEDGER).is_file() and set(os.listdir(own)) - {LOCK}:
             problem = "holds something else: choose a new folder"
     except OSError as error:
         problem = f"cannot be read ({error.strerror}): choose another folder"

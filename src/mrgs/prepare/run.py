@@ -20,14 +20,11 @@ from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.prepare.thermal_camera import Calibrate
 from mrgs.prepare.work import Work
-from mrgs.system.atomic import TEMPORARY, remove_abandoned, write_error, write_text
+from mrgs.system.atomic import LOCK, TEMPORARY, remove_abandoned, write_error, write_text
 from mrgs.system.disk import warn_if_short
 
 GROWTH = 2
 """Size of the images and intermediate results over that of the photos, roughly."""
-
-LOCK = ".lock"
-"""File in the cache that a running ``prepare`` keeps locked."""
 
 MARKER = "README.txt"
 """File in the cache by which the user and later calls know that the folder is the program's own."""

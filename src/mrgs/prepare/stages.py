@@ -64,7 +64,7 @@ def pairs(work: Work) -> StageSummary:
         (work.photos, stamps(work.photos), table_content, *chosen),
         lambda: find_pairs(work.photos, options, work.progress),
     )
-    return summarize_pairs(work.pairing)
+    return summarise_pairs(work.pairing)
 
 
 def images(work: Work) -> StageSummary:
@@ -77,7 +77,7 @@ def images(work: Work) -> StageSummary:
         work.progress,
         turn=work.options.poses is None,  # given poses are those of the images as stored
     )
-    summary = summarize_photos(work.images)
+    summary = summarise_photos(work.images)
     if (control := work.options.control) is not None:
         marked = read_control(control, _posed_photos(work))
         work.control, warnings = at_chequers(marked, partial(_grey, work))
@@ -128,7 +128,7 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
         )
 
     work.poses = work.cache.get("poses", Reconstruction, (posed, given, gps, view_deg), find)
-    return summarize_poses(work.poses)
+    return summarise_poses(work.poses)
 
 
 def scale_and_north(work: Work) -> StageSummary:
@@ -174,7 +174,7 @@ def thermal_camera(work: Work, calibrate: Calibrate) -> StageSummary:
     )
     if work.georeference is not None:
         work.georeference, work.rig = in_metres_of_target(work.georeference, found)
-    return summarize_thermal_camera(found, posed.images, metric)
+    return summarise_thermal_camera(found, posed.images, metric)
 
 
 def scene_files(work: Work, write_scene: Callable[[Work], None]) -> StageSummary:
@@ -238,7 +238,7 @@ SCALE_TOLERANCE = 0.03
 """Two sources of the scene's scale may differ by this share."""
 
 
-def summarize_pairs(pairing: Pairing) -> StageSummary:
+def summarise_pairs(pairing: Pairing) -> StageSummary:
     """Number of pairs, or of photos without partners, and the rule that found them."""
     has_pairs = any(pair.embedded or len(pair.photos) > 1 for pair in pairing.pairs)
     noun = "pair" if has_pairs or not pairing.pairs else "photo"
@@ -248,7 +248,7 @@ def summarize_pairs(pairing: Pairing) -> StageSummary:
     return StageSummary(tuple(lines), pairing.warnings)
 
 
-def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
+def summarise_photos(photos: ConvertedPhotos) -> StageSummary:
     """Cameras and temperatures of the photos; each warning once, with the number of its photos."""
     views = photos.views
     ranges = [view.range_c for view in views if view.range_c is not None]
@@ -283,7 +283,7 @@ def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
     return StageSummary(tuple(lines), (*photos.warnings, *repeated))
 
 
-def summarize_poses(reconstruction: Reconstruction) -> StageSummary:
+def summarise_poses(reconstruction: Reconstruction) -> StageSummary:
     """Source of the poses and their reprojection error."""
     lines = [reconstruction.source]
     if reconstruction.reprojection_px is not None:
@@ -293,7 +293,7 @@ def summarize_poses(reconstruction: Reconstruction) -> StageSummary:
     return StageSummary(tuple(lines), reconstruction.warnings)
 
 
-def summarize_thermal_camera(
+def summarise_thermal_camera(
     rig: RigCalibration | None, posed: Modality, metric: bool
 ) -> StageSummary:
     """Field of view, offset and residuals of the thermal camera; ``rig`` is None without a second

@@ -102,7 +102,7 @@ def conditions_of(survey: Survey, pixel_m: float | None = None) -> list[Conditio
         found = _rounded(survey.inside_c - survey.outside_c)
     met = None if found is None else abs(found) >= LEAST_DIFFERENCE_K
     return [
-        Condition("Air inside minus outside", "at least 10 K", _derived(found, "K"), met),
+        Condition("Air inside minus outside", "at least 10 K", _in_kelvin(found), met),
         _steady(survey),
         *(_compared(survey, *each) for each in _BUILDING),
         Condition("Precipitation", "dry surfaces", "", None, survey.precipitation or ""),
@@ -136,13 +136,13 @@ def _steady(survey: Survey) -> Condition:
         inside, low, high = (float(each) for each in known if each is not None)
         warmer, colder = inside - low, inside - high
         least = min(warmer, colder, key=abs) if warmer * colder > 0 else 0.0
-        stated, met = _derived(least, "K"), abs(_rounded(least)) >= LEAST_DIFFERENCE_K
+        stated, met = _in_kelvin(least), abs(_rounded(least)) >= LEAST_DIFFERENCE_K
     return Condition("The same, over the 24 hours before", "at least 10 K", stated, met)
 
 
-def _derived(value: float | None, unit: str) -> str:
-    """A computed value with its unit, rounded as it is judged."""
-    return "" if value is None else _given(_rounded(value), unit)
+def _in_kelvin(difference: float | None) -> str:
+    """A computed difference, rounded as it is judged."""
+    return "" if difference is None else _given(_rounded(difference), "K")
 
 
 def _given(value: float | None, unit: str) -> str:

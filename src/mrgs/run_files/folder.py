@@ -24,7 +24,7 @@ from mrgs.errors import (
     SceneError,
     warn_user,
 )
-from mrgs.system.atomic import remove_abandoned, write_error, write_text
+from mrgs.system.atomic import LOCK, remove_abandoned, write_error, write_text
 from mrgs.system.disk import open_regular, read_text
 from mrgs.system.strict_yaml import flat, parse_yaml, write_yaml
 from mrgs.system.wording import listed
@@ -311,7 +311,7 @@ class RunFolder:
         """Within this block no other process uses the folder; the system releases the lock when the
         process ends, however it ends. FolderInUseError if another process uses it, RunError if the
         folder cannot be made."""
-        lock = FileLock(self.path / ".lock", timeout=0)
+        lock = FileLock(self.path / LOCK, timeout=0)
         try:
             with self._writing():
                 self.path.mkdir(parents=True, exist_ok=True)
@@ -325,6 +325,20 @@ class RunFolder:
             yield
         finally:
             lock.release()
+
+    @property
+    def is_locked(self) -> bool:
+        """Whether a process uses the folder. One that cannot be written is not used."""
+        file = self.path / LOCK
+        if not file.exists():
+            return False
+        try:
+            with FileLock(file, timeout=0):
+                return False
+        except Timeout:
+            return True
+        except OSError:
+            return False
 
     @contextmanager
     def training(self, config: RunConfig, resume: bool) -> Iterator[None]:
@@ -352,7 +366,7 @@ class RunFolder:
         for name in ("config.yaml", "log.jsonl"):
             (self.path / name).unlink(missing_ok=True)
         with suppress(OSError):  # something else is in it; on Windows, the locked file
-            (self.path / ".lock").unlink(missing_ok=True)
+            (self.path / LOCK).unlink(missing_ok=True)
             self.path.rmdir()
 
     @contextmanager

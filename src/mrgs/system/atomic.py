@@ -24,6 +24,9 @@ except ImportError:  # Windows, which removes no file that is open
 TEMPORARY = ".mrgs-"
 """How the names of temporary folders begin; a file is written in one and then moved."""
 
+LOCK = ".lock"
+"""File in a folder that a process keeps locked while it uses the folder."""
+
 _LONGEST_SUFFIX = 16
 LOCK_PATIENCE_S = 10.0
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import FileLock, Timeout
 from jaxtyping import Float
 
 from mrgs.errors import RunError, warn_user
@@ -178,7 +177,7 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
             f"{run.folder.path}: the model has no Gaussians, so there is nothing to see; retrain it"
         )
     note = ""
-    if is_training(run.folder.path):
+    if run.folder.is_locked:
         step = f"step {run.facts.step:,} of {run.config.max_steps:,}"
         note = (
             f"Still training: this is the checkpoint of {step}. Open the run again for a newer one."
@@ -239,20 +238,6 @@ def uncertainty_of(subject: Subject, board: MarkBoard) -> Callable[[Camera], Pan
     if board.uncertainty is None or THERMAL not in subject.modalities:
         return None
     return UncertaintyPictures(board, subject.source, subject.temperature).images
-
-
-def is_training(folder: Path) -> bool:
-    """Whether a process has locked the run."""
-    lock_file = folder / ".lock"
-    if not lock_file.exists():
-        return False
-    try:
-        with FileLock(lock_file, timeout=0):
-            return False
-    except Timeout:
-        return True
-    except OSError:  # a folder that cannot be written is not being trained in
-        return False
 
 
 def start_camera(scene: Scene | None, model: Model) -> Camera:

@@ -9,7 +9,7 @@ import torch
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.calibrate import calibrate_rig
 from mrgs.prepare.rig.contract import FEWEST_MATCHES, RigOptions
-from mrgs.prepare.stages import summarize_thermal_camera
+from mrgs.prepare.stages import summarise_thermal_camera
 from mrgs.scene import RGB, Pixels, PointCloud
 from mrgs.scene.lens import Lens
 from tests.helpers.rig_room import build_room
@@ -183,7 +183,7 @@ def test_a_plain_pair_is_placed_by_the_others(room):
     assert max(others) < found.views[2].uncertainty_px < given.max_uncertainty_px
     assert found.warnings == ()
     (name,) = [view.name for view in found.views if view.matches < FEWEST_MATCHES]
-    summary = summarize_thermal_camera(found, RGB, True)
+    summary = summarise_thermal_camera(found, RGB, True)
     assert name in summary.lines[-1]
     assert "rig alone" in summary.lines[-1]
     strict = (max(others) + found.views[2].uncertainty_px) / 2

@@ -318,7 +318,7 @@ def _matched(
     return [(references[j], partners[i]) for i, j in matched]
 
 
-_NEARLY = 0.9
+_AS_GOOD = 0.9
 """An offset with this share of another one's pairs is as good."""
 
 _TRIED = 24
@@ -392,7 +392,7 @@ def clock_offset(
     most = max(one.pairs for one, _ in tests)
     if most < max(_FEWEST, smaller / 2):
         return in_step
-    tests = [(one, spread) for one, spread in tests if one.pairs >= _NEARLY * most]
+    tests = [(one, spread) for one, spread in tests if one.pairs >= _AS_GOOD * most]
     highest = 2 * min(spread for _, spread in tests) + _CLOCK_S
     tests = [(one, spread) for one, spread in tests if spread <= highest]
     tests.sort(key=lambda each: (each[0] is not in_step, -each[0].pairs, each[1]))
