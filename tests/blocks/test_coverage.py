@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from mrgs.blocks.plan import only
-from mrgs.blocks.region import Region
+from mrgs.blocks.region import Rectangle
 from mrgs.scene import RGB, Camera, Pixels, PointCloud, PosedImage, Scene, View
 
 
@@ -25,7 +25,7 @@ def test_a_look_at_a_photo_counts_where_the_photo_does():
     surveyor = SimpleNamespace(
         places=lambda camera, modality: SimpleNamespace(counted=lambda region: left)
     )
-    masked = only(scene, Region((0.0, 0.0), (1.0, 1.0)), [0], surveyor).train[0].images[RGB]
+    masked = only(scene, Rectangle((0.0, 0.0), (1.0, 1.0)), [0], surveyor).train[0].images[RGB]
     for pixels, width in [(masked.load(), 8), (masked.look(4), 4)]:
         assert pixels.values.shape[1] == width
         assert pixels.valid[:, : width // 2].all()

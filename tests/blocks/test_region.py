@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from mrgs.blocks.region import (
-    Region,
+    Rectangle,
     Ring,
     ScenePlane,
     cells,
@@ -61,7 +61,9 @@ def test_empty_cells_are_joined_with_their_neighbours():
     assert len(kept) == 3
     assert all(cell.contains(shown).any() for cell in kept)
     assert (torch.stack([cell.contains(PLACES) for cell in kept]).sum(dim=0) == 1).all()
-    assert without_empty(columns, lambda cell: True) == [Region((-math.inf,) * 2, (math.inf,) * 2)]
+    assert without_empty(columns, lambda cell: True) == [
+        Rectangle((-math.inf,) * 2, (math.inf,) * 2)
+    ]
 
 
 def test_an_empty_column_is_joined_with_the_one_before_it():
@@ -73,18 +75,18 @@ def test_an_empty_column_is_joined_with_the_one_before_it():
 
 
 def test_what_reaches_out_of_a_region_does_not_lie_in_it_and_grows_with_its_margin():
-    region = Region((0.0, 0.0), (4.0, 2.0))
+    region = Rectangle((0.0, 0.0), (4.0, 2.0))
     places = torch.tensor([[0.5, 1.0], [3.5, 1.0], [2.0, 1.6], [2.0, 1.0]])
     reach = torch.tensor([0.6, 0.4, 0.6, 0.9])
     assert region.contains(places).all()
     assert region.contains(places, reach).tolist() == [False, True, False, True]
     grown = region.grown(0.5)
-    assert grown == Region((-0.5, -0.5), (4.5, 2.5))
+    assert grown == Rectangle((-0.5, -0.5), (4.5, 2.5))
     assert grown.contains(places, reach).all()
 
 
 def test_a_ring_holds_what_reaches_neither_out_of_it_nor_into_its_hole():
-    ring = Ring(Region((-2.0, -2.0), (2.0, 2.0)), Region((-1.0, -1.0), (1.0, 1.0)))
+    ring = Ring(Rectangle((-2.0, -2.0), (2.0, 2.0)), Rectangle((-1.0, -1.0), (1.0, 1.0)))
     places = torch.tensor([[1.5, 0.0], [1.1, 0.0], [0.9, 0.0], [0.0, -1.5]])
     assert ring.contains(places).tolist() == [True, True, False, True]
     reach = torch.tensor([0.4, 0.2, 0.2, 0.6])
@@ -94,9 +96,9 @@ def test_a_ring_holds_what_reaches_neither_out_of_it_nor_into_its_hole():
 def test_a_region_counts_as_far_as_it_lies_in_the_scene():
     plane = ScenePlane(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), (-3.0, -1.0), (5.0, 2.0))
     assert plane.sides == (8.0, 3.0)
-    endless = Region((-math.inf, -math.inf), (1.0, math.inf))
+    endless = Rectangle((-math.inf, -math.inf), (1.0, math.inf))
     assert plane.clipped(endless) == (4.0, 3.0)
-    assert plane.clipped(Region((0.0, 0.0), (9.0, 1.0))) == (5.0, 1.0)
+    assert plane.clipped(Rectangle((0.0, 0.0), (9.0, 1.0))) == (5.0, 1.0)
 
 
 def test_where_the_horizontal_is_known_a_scene_is_cut_upright(tmp_path):
@@ -114,8 +116,8 @@ def test_where_the_horizontal_is_known_a_scene_is_cut_upright(tmp_path):
 
 
 def test_a_region_survives_json():
-    region = Region((-math.inf, 1.5), (2.0, math.inf))
-    assert Region.from_json(region.to_json()) == region
+    region = Rectangle((-math.inf, 1.5), (2.0, math.inf))
+    assert Rectangle.from_json(region.to_json()) == region
 
 
 def test_the_plane_of_a_scene_holds_its_points(tmp_path):

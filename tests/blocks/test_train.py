@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 from mrgs.blocks import refinement
 from mrgs.blocks.plan import BlockOptions, Surveyor, counted_places, make_plan, read_plan, views_of
 from mrgs.blocks.refinement import SEAM_WIDTH, Part
-from mrgs.blocks.region import Region, Ring, ScenePlane
+from mrgs.blocks.region import Rectangle, Ring, ScenePlane
 from mrgs.blocks.train import BlockTraining
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, FolderInUseError, RunError
@@ -183,7 +183,7 @@ def test_a_gaussian_that_reaches_beyond_what_counts_is_not_held(scene):
     gaussians.means[:] = torch.tensor([[0.0], [0.0], [0.9], [2.0]]) * torch.tensor([1.0, 0.0, 0.0])
     gaussians.log_scales[:] = torch.tensor([0.3, 0.4, 0.1, 0.1]).log()[:, None]
     plane = ScenePlane(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), (-1.0, -1.0), (1.0, 1.0))
-    region = Region((-1.0, -1.0), (1.0, 1.0))
+    region = Rectangle((-1.0, -1.0), (1.0, 1.0))
     reach = load_scene(scene).reach
     held = Part(plane, region, region, reach).holds(gaussians)
     assert held.tolist() == [True, False, False, False]

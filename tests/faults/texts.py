@@ -16,7 +16,7 @@ import numpy as np
 
 from mrgs.app.terminal import read_text
 from mrgs.blocks.plan import BlockOptions, BlockPlan, PlannedBlock, config_values, read_plan
-from mrgs.blocks.region import Region, ScenePlane
+from mrgs.blocks.region import Rectangle, ScenePlane
 from mrgs.data.colmap import ColmapModel, read_images, read_points3d
 from mrgs.data.load import read_bounds
 from mrgs.data.nerfstudio import read_transforms
@@ -68,7 +68,7 @@ def readers(folder: Path) -> Mapping[str, Reader]:
     spot = Mark("S1", "spot", ((0.0, 0.0, 0.0),), (0.0, -5.0, 0.0), 0.1, note="wet")
     store.edit(lambda marks: replace(marks, marks=(spot, replace(spot, name="R")), reference="R"))
     config = find_method("mrgs-plus").make_config(preset="fast")
-    cells = (PlannedBlock(Region((-math.inf, 0.0), (1.0, math.inf)), (0, 2)),)
+    cells = (PlannedBlock(Rectangle((-math.inf, 0.0), (1.0, math.inf)), (0, 2)),)
     plane = ScenePlane(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), (0.0, 0.0), (2.0, 1.0))
     plan = BlockPlan("/scene", config_values(config), BlockOptions(), plane, 0.1, cells)
     plan.write(folder / "blocks.json")

@@ -19,7 +19,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter
 from torch import Tensor
 
 from mrgs.blocks.region import (
-    Region,
+    Rectangle,
     Ring,
     ScenePlane,
     cells,
@@ -60,12 +60,12 @@ class Places(NamedTuple):
 
     known: Float32[np.ndarray, "h w 2"]
 
-    def inside(self, region: Region | Ring) -> Bool[np.ndarray, "h w"]:
+    def inside(self, region: Rectangle | Ring) -> Bool[np.ndarray, "h w"]:
         """Which pixels show a region."""
         found: Bool[np.ndarray, "h w"] = region.contains(torch.from_numpy(self.known)).numpy()
         return found
 
-    def counted(self, region: Region | Ring) -> Bool[np.ndarray, "h w"]:
+    def counted(self, region: Rectangle | Ring) -> Bool[np.ndarray, "h w"]:
         """Which pixels count for a region: those that show it, and the sky at its outline."""
         inside = self.inside(region)
         sky = np.isnan(self.known[..., 0])
@@ -107,7 +107,7 @@ def counted_places(surveyor: Surveyor, scene: Scene) -> list[Places]:
     return found
 
 
-def views_of(region: Region | Ring, places: Sequence[Places]) -> tuple[int, ...]:
+def views_of(region: Rectangle | Ring, places: Sequence[Places]) -> tuple[int, ...]:
     """The views that show a region, by their places."""
     shares = np.array([each.inside(region).mean() for each in places])
     most = shares.max(initial=0.0)
@@ -116,7 +116,7 @@ def views_of(region: Region | Ring, places: Sequence[Places]) -> tuple[int, ...]
     return tuple(np.flatnonzero(shares >= min(LEAST_SHARE, SHARE_OF_MOST * most)).tolist())
 
 
-def only(scene: Scene, region: Region | Ring, views: Sequence[int], surveyor: Surveyor) -> Scene:
+def only(scene: Scene, region: Rectangle | Ring, views: Sequence[int], surveyor: Surveyor) -> Scene:
     """The same scene and files, but in the photos of these views only pixels that show the region
     count: a run on it is a run on the scene."""
     train = list(scene.train)
@@ -125,7 +125,7 @@ def only(scene: Scene, region: Region | Ring, views: Sequence[int], surveyor: Su
     return replace(scene, train=tuple(train))
 
 
-def _masked(view: View, region: Region | Ring, surveyor: Surveyor) -> View:
+def _masked(view: View, region: Rectangle | Ring, surveyor: Surveyor) -> View:
     images: dict[Modality, PosedImage] = {}
     known: list[tuple[Camera, Bool[np.ndarray, "h w"]]] = []
     for modality, image in view.images.items():
@@ -174,7 +174,7 @@ class PlannedBlock(NamedTuple):
     """The region that a block contributes to the joined model, and the training views of the scene
     that show it or its margin."""
 
-    region: Region
+    region: Rectangle
     views: Annotated[tuple[Count, ...], msgspec.Meta(min_length=1)]
 
 
@@ -304,6 +304,6 @@ def _from_json(content: Any) -> BlockPlan:
         **content,
         "options": BlockOptions(**content["options"]),
         "plane": [plane[name] for name in ScenePlane._fields],
-        "cells": [(Region.from_json(each["region"]), each["views"]) for each in cells],
+        "cells": [(Rectangle.from_json(each["region"]), each["views"]) for each in cells],
     }
     return from_json(BlockPlan, found)

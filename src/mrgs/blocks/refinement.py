@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mrgs.blocks.plan import BlockPlan, Surveyor, counted_places, views_of
-from mrgs.blocks.region import Region, Ring, ScenePlane
+from mrgs.blocks.region import Rectangle, Ring, ScenePlane
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.method.config import TrainConfig, with_steps
@@ -61,8 +61,8 @@ class Part:
     """
 
     plane: ScenePlane
-    region: Region | Ring
-    counted: Region | Ring
+    region: Rectangle | Ring
+    counted: Rectangle | Ring
     reach: SceneBounds
     extent: float = EXTENT
 

@@ -41,7 +41,7 @@ class ScenePlane(NamedTuple):
         """Lengths of the scene along both axes, scene units."""
         return self.high[0] - self.low[0], self.high[1] - self.low[1]
 
-    def clipped(self, region: Region) -> tuple[float, float]:
+    def clipped(self, region: Rectangle) -> tuple[float, float]:
         """Lengths of a region as far as it lies in the scene."""
         first, second = (
             min(region.high[axis], self.high[axis]) - max(region.low[axis], self.low[axis])
@@ -50,7 +50,7 @@ class ScenePlane(NamedTuple):
         return first, second
 
 
-class Region(NamedTuple):
+class Rectangle(NamedTuple):
     """A rectangle of the plane, from ``low`` up to but without ``high``; both may be infinite."""
 
     low: tuple[float, float]
@@ -64,15 +64,15 @@ class Region(NamedTuple):
         about = places.new_zeros(1) if reach is None else reach[..., None]
         return ((places - about >= low) & (places + about < high)).all(dim=-1)
 
-    def grown(self, margin: float) -> Region:
+    def grown(self, margin: float) -> Rectangle:
         """The rectangle with a margin on all sides, scene units."""
-        return Region(
+        return Rectangle(
             (self.low[0] - margin, self.low[1] - margin),
             (self.high[0] + margin, self.high[1] + margin),
         )
 
     @classmethod
-    def from_json(cls, value: Any) -> Region:
+    def from_json(cls, value: Any) -> Rectangle:
         """A region from ``to_json``. TypeError or ValueError if the value is not a region."""
         low, high = value
         return cls(_ends(low, -math.inf), _ends(high, math.inf))
@@ -85,13 +85,13 @@ class Region(NamedTuple):
 class Ring(NamedTuple):
     """What lies in one rectangle and not in another."""
 
-    outer: Region
-    inner: Region
+    outer: Rectangle
+    inner: Rectangle
 
     def contains(
         self, places: Float[Tensor, "*batch 2"], reach: Float[Tensor, "*batch"] | None = None
     ) -> Bool[Tensor, "*batch"]:
-        """Whether coordinates of the plane are in it, see ``Region.contains``."""
+        """Whether coordinates of the plane are in it, see ``Rectangle.contains``."""
         within = self.inner.contains(places, None if reach is None else -reach)
         return self.outer.contains(places, reach) & ~within
 
@@ -122,7 +122,7 @@ def plane_of(scene: Scene) -> ScenePlane:
     return ScenePlane(((x1, y1, z1), (x2, y2, z2)), (low1, low2), (high1, high2))
 
 
-def cells(places: Float64[Tensor, "n 2"], rows: int, columns: int) -> list[list[Region]]:
+def cells(places: Float64[Tensor, "n 2"], rows: int, columns: int) -> list[list[Rectangle]]:
     """Rectangles that fill the plane with equally many places each: columns along the first axis,
     cut into rows along the second; the outermost ones have no end."""
     found = []
@@ -130,21 +130,21 @@ def cells(places: Float64[Tensor, "n 2"], rows: int, columns: int) -> list[list[
     for left, right in pairwise(edges):
         inside = places[(places[:, 0] >= left) & (places[:, 0] < right), 1]
         across = _edges(inside, rows)
-        found.append([Region((left, low), (right, high)) for low, high in pairwise(across)])
+        found.append([Rectangle((left, low), (right, high)) for low, high in pairwise(across)])
     return found
 
 
 def without_empty(
-    columns: Sequence[Sequence[Region]], is_empty: Callable[[Region], bool]
-) -> list[Region]:
+    columns: Sequence[Sequence[Rectangle]], is_empty: Callable[[Rectangle], bool]
+) -> list[Rectangle]:
     """Rectangles of which each empty one has been joined with its neighbour in the column, and an
     empty column with its neighbour."""
-    kept: list[list[Region]] = []
+    kept: list[list[Rectangle]] = []
     for column in columns:
-        filled: list[Region] = []
+        filled: list[Rectangle] = []
         for cell in column:
             if filled and (is_empty(cell) or is_empty(filled[-1])):
-                filled[-1] = Region(filled[-1].low, cell.high)
+                filled[-1] = Rectangle(filled[-1].low, cell.high)
             else:
                 filled.append(cell)
         kept.append(filled)
@@ -154,7 +154,7 @@ def without_empty(
         left, right = min(place, other), max(place, other)
         edges = kept[left][0].low[0], kept[right][0].high[0]
         kept[left : right + 1] = [
-            [Region((edges[0], each.low[1]), (edges[1], each.high[1])) for each in kept[other]]
+            [Rectangle((edges[0], each.low[1]), (edges[1], each.high[1])) for each in kept[other]]
         ]
     return [cell for column in kept for cell in column]
 

@@ -23,7 +23,7 @@ from mrgs.viewer.painting import DrawnPicture, MarkLabel, Scales, annotate, comp
 from mrgs.viewer.panes import (
     Pane,
     PaneImages,
-    Place,
+    PanePoint,
     Reading,
     difference,
     panes_of,
@@ -205,7 +205,7 @@ class Inspection:
 
     def _places(
         self, kind: MarkKind, points: Sequence[tuple[float, float]]
-    ) -> tuple[Pane, list[Place]]:
+    ) -> tuple[Pane, list[PanePoint]]:
         """What is drawn in the latest picture, and in which pane; ConfigError if not in one."""
         if kind == "box" and len(points) != 2:
             raise ConfigError("draw a box from one corner to the opposite one")
@@ -307,7 +307,7 @@ class Inspection:
 
     def _of_place(
         self,
-        place: Place,
+        place: PanePoint,
         depth: Float[np.ndarray, "h w"] | None,
         shown: float,
         at_once: bool = False,

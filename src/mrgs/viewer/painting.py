@@ -16,7 +16,7 @@ from mrgs.pictures.drawing import Scale
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import full_scale, unit_of
 from mrgs.scene import Camera, Modality, SceneBounds, TemperatureRange
-from mrgs.viewer.panes import Pane, PaneImages, PaneKind, Place
+from mrgs.viewer.panes import Pane, PaneImages, PaneKind, PanePoint
 from mrgs.viewer.settings import Settings, in_kelvin
 
 Colors: TypeAlias = UInt8[np.ndarray, "h w 3"]
@@ -54,14 +54,14 @@ class DrawnPicture:
         """Width and height, pixels."""
         return self.camera.width, self.camera.height
 
-    def place(self, x: float, y: float) -> Place | None:
+    def place(self, x: float, y: float) -> PanePoint | None:
         """The pane and the place in it at a place of the picture (x to the right, y down, 0 to 1);
         None between the panes."""
         for pane in self.panes:
             u = (x * self.camera.width - pane.left) / pane.camera.width
             v = (y * self.camera.height - pane.top) / pane.camera.height
             if 0 <= u < 1 and 0 <= v < 1:
-                return Place(pane, u, v)
+                return PanePoint(pane, u, v)
         return None
 
 

@@ -67,7 +67,7 @@ class Pane:
         return self.camera if self.photo is None else self.photo.camera
 
 
-class Place(NamedTuple):
+class PanePoint(NamedTuple):
     """A point of a pane: u to the right and v down, 0 to 1 over the pane."""
 
     pane: Pane
