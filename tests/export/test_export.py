@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.errors import ConfigError, MrgsError, MrgsWarning, RunError, WriteError
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning, RunError, SceneError, WriteError
 from mrgs.export import FORMATS, export
 from mrgs.field.spherical_harmonics import C0
 from mrgs.pictures.page_data import starting_limits
-from mrgs.scene import RGB, THERMAL, View, WorldFrame
+from mrgs.scene import RGB, THERMAL, Pixels, View, WorldFrame
+from tests.helpers.changed_views import with_image
 from tests.helpers.exports import make_baked, read_ply
 from tests.helpers.gaussians import NEAR_INFRARED
 
@@ -73,6 +74,17 @@ def test_the_page_begins_with_the_colours_of_the_viewer(tmp_path, baked, scene):
     (path,) = export(baked, scene, "page", tmp_path)
     low, high = starting_limits((THERMAL,), scene, scene.temperature)[THERMAL]
     assert f'"range": [{low}, {high}]' in path.read_text(encoding="utf-8")
+
+
+def test_a_damaged_photo_has_no_part_in_where_colours_begin(scene):
+    def damaged() -> Pixels:
+        raise SceneError("photo.png: cannot be read")
+
+    first, *others = scene.train
+    broken = with_image(first, THERMAL, lambda image: replace(image, load=damaged))
+    seen = starting_limits((THERMAL,), replace(scene, train=(broken, *others)), scene.temperature)
+    alone = starting_limits((THERMAL,), replace(scene, train=(broken,)), scene.temperature)
+    assert alone == {THERMAL: (scene.temperature.min_c, scene.temperature.max_c)} != seen
 
 
 def test_every_format_has_a_test_here():

@@ -588,7 +588,7 @@ def test_the_end_of_the_viewer_is_said(browser, small_run):
     page.wait_for_selector(SETTLED)
     assert not page.locator("#photo-section").is_visible()
     viewer.close()
-    page.wait_for_selector("#status:has-text('The viewer has ended')")
+    page.wait_for_selector("#status:has-text('The connection to the viewer is lost')")
     page.context.close()
 
 
@@ -613,7 +613,7 @@ def test_the_end_stays_said_when_the_last_picture_is_shown_after_it(browser, sma
     page.set_viewport_size({"width": 700, "height": 500})
     page.wait_for_selector("#view[data-waits]")
     viewer.close()
-    page.wait_for_selector("#status:has-text('The viewer has ended')")
+    page.wait_for_selector("#status:has-text('The connection to the viewer is lost')")
     page.evaluate("() => decodeNow()")
     page.wait_for_selector(f"#view:not([width='{width}'])")
     assert page.locator("#status").is_visible()

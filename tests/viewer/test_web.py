@@ -15,6 +15,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -22,7 +23,7 @@ import pytest
 import websockets
 from websockets.asyncio.client import ClientConnection, connect
 
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.marks import Mark
 from mrgs.marks.store import MarkStore
 from mrgs.survey import SURVEY_FILE, read_survey
@@ -523,6 +524,25 @@ def test_nobody_changes_marks_faster_than_hands_can(viewer):
         browser.receive('{"type": "change_mark", "mark": 7, "note": "x"}')
     hasty = [each for each in sent if "too many" in each.get("text", "")]
     assert [(each["type"], each["mark"]) for each in hasty] == 50 * [("refused", 7)]
+    browser.close()
+
+
+@pytest.mark.parametrize("effort", ["moving", "resting"])
+def test_a_picture_that_cannot_be_drawn_is_not_waited_for(viewer, effort):
+    sent = []
+
+    def send(data) -> Future[None]:
+        sent.append(json.loads(data))
+        return Future()
+
+    def fail(*_, **__) -> None:
+        raise SceneError("photo.png: cannot be read")
+
+    browser = Browser(viewer._subject, viewer._start, "", viewer._worker, send)
+    browser.inspection = SimpleNamespace(picture=fail)
+    browser.receive(look(number=4, effort=effort))
+    wait_until(lambda: any(each["type"] == "status" for each in sent), "the error is told")
+    assert [each["number"] for each in sent if each["type"] == "undrawn"] == [4]
     browser.close()
 
 

@@ -32,8 +32,6 @@ from mrgs.errors import ConfigError
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
 from mrgs_synth.planck import band_radiance, temperature
 
-MARGIN_C = 5.0
-
 
 class Air(NamedTuple):
     """Air of a temperature, °C, and a relative humidity, and the distance that the camera is set

@@ -23,6 +23,7 @@ from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, WorldFrame
 from mrgs.scene.arrays import Array, as_tensor
+from mrgs.scene.camera import MIN_DEPTH
 from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.training.checkpoint import shift_temperatures
 
@@ -269,13 +270,16 @@ class MarkPicker:
 def spot_radius(place: Place, camera: Camera, scene: Scene | None) -> float:
     """Radius of a spot as wide as three pixels of the nearest thermal photo, scene units."""
     point = torch.tensor(place, dtype=torch.float64)
-    sizes = []
-    for photo in thermal_cameras(scene):
-        pixel, depth = photo.project(point)
-        if photo.contains(pixel):
-            sizes.append(depth.item() / photo.K[0, 0].item())
-    if sizes:
-        return 0.5 * SPOT_PHOTO_PX * min(sizes)
+    if photos := thermal_cameras(scene):  # at once: this follows the cursor
+        viewmats = torch.stack([photo.viewmat for photo in photos])
+        Ks = torch.stack([photo.K for photo in photos])
+        in_camera = viewmats[:, :3, :3] @ point + viewmats[:, :3, 3]
+        depths = in_camera[:, 2]
+        pixels = (Ks @ in_camera[:, :, None])[:, :2, 0] / depths[:, None]
+        sizes = torch.tensor([(photo.width, photo.height) for photo in photos])
+        shows = (depths >= MIN_DEPTH) & ((pixels >= 0) & (pixels < sizes)).all(dim=1)
+        if shows.any():
+            return 0.5 * SPOT_PHOTO_PX * (depths / Ks[:, 0, 0])[shows].min().item()
     return 0.5 * SPOT_SHARE * (point - camera.position).norm().item()
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from mrgs.errors import SceneError
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.palette import PALETTES, PaletteName, display_range, palette_table, tick_step
 from mrgs.pictures.values import capitalised, decimals_of, range_of, unit_label
@@ -115,7 +116,10 @@ def starting_limits(
         photos = [] if scene is None else scene.train_photos(modality)
         seen = []
         for index in evenly_spaced(len(photos), PHOTOS_READ):
-            pixels = photos[index].load()
+            try:
+                pixels = photos[index].load()
+            except SceneError:  # a damaged photo has no part in the range
+                continue
             values = shown_values(modality, pixels.values, temperature)
             valid = True if pixels.valid is None else pixels.valid.numpy()
             seen.append(np.where(valid, values, np.nan)[::PIXEL_STEP, ::PIXEL_STEP].ravel())

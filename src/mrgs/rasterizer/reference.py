@@ -6,8 +6,7 @@ Gradients come from autograd. Shapes: N Gaussians given, M of them in front of t
 C channels.
 
 Sources: 3D Gaussian Splatting (Kerbl et al. 2023) for Σ = R S Sᵀ Rᵀ and the blending; EWA Splatting
-    (Zwicker et al.
-2001) for the projection of the covariance.
+(Zwicker et al. 2001) for the projection of the covariance.
 """
 
 from __future__ import annotations

@@ -8,7 +8,8 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
@@ -112,6 +113,8 @@ class Browser:
         def contained() -> None:
             try:
                 job()
+            except CancelledError:  # the training has ended, which the worker handles
+                raise
             except Exception as error:
                 text = str(error) or repr(error)
                 if name == CHANGE:
@@ -144,11 +147,12 @@ class Browser:
         camera = look.camera()
         camera = camera.resized(*fitted_size(camera.width, camera.height, round(side)))
         started_s = time.thread_time()
-        if moving:
-            with source.small_work():
-                drawn = self.inspection.picture(camera, moving=True)
-        else:
-            drawn = self.inspection.picture(camera)
+        try:
+            with source.small_work() if moving else nullcontext():
+                drawn = self.inspection.picture(camera, moving=moving)
+        except Exception:
+            self.send("undrawn", number=look.number)
+            raise
         longest = max(look.width, look.height)
         message = facts.picture_message(self.inspection, drawn, look.number, look.effort, longest)
         if moving:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.export.page.packing import curve_rows, morton_order, smallest_three
+from mrgs.export.page.packing import MORTON_BITS, curve_rows, morton_order, smallest_three
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.packed import as_model, pack, unpack
@@ -129,6 +129,14 @@ def test_neighbours_on_the_curve_are_neighbours_in_space():
     ordered = means[morton_order(means)]
     step = np.linalg.norm(np.diff(ordered, axis=0), axis=1).mean()
     assert step < 0.25 * np.linalg.norm(np.diff(means, axis=0), axis=1).mean()
+
+
+@pytest.mark.slow
+def test_the_curve_holds_together_where_there_are_more_ranks_than_it_has_bits():
+    count = 2**MORTON_BITS + 4096
+    means = np.random.default_rng(0).uniform(size=(count, 3)).astype(np.float32)
+    step = np.linalg.norm(np.diff(means[morton_order(means)], axis=0), axis=1).mean()
+    assert step < 0.05 * np.linalg.norm(np.diff(means, axis=0), axis=1).mean()
 
 
 def test_both_signs_of_a_quaternion_are_one_rotation():

@@ -92,6 +92,39 @@ def test_a_spot_is_as_wide_as_the_programs(open_page, baked, cameras):
     assert changes
 
 
+def test_no_click_is_lost_while_the_pointer_moves_on(open_page):
+    page = open_page(viewport=WINDOW)
+    box = page.locator("#view").bounding_box()
+    page.evaluate(
+        """() => {
+            const view = document.getElementById("view");
+            const send = (type, x, y) => view.dispatchEvent(new PointerEvent(type, {
+                clientX: x, clientY: y, button: 0, pointerId: 1, bubbles: true }));
+            view.setPointerCapture = () => {};
+            const { left, top, width, height } = view.getBoundingClientRect();
+            for (let n = 0; n < 5; n++) {
+                const at = [left + width * (0.45 + 0.02 * n), top + height / 2];
+                for (const type of ["pointermove", "pointerdown", "pointerup"]) send(type, ...at);
+                send("pointermove", at[0] + 1, at[1]);
+            }
+        }"""
+    )
+    wait_until(lambda: len(rows_of(page)) == 5, "all spots are there", page)
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    for button in ("right", "middle"):  # which move the view
+        page.mouse.down(button=button)
+        page.mouse.up(button=button)
+    place_spots(page, (0.5, 0.6))
+    assert len(rows_of(page)) == 6
+
+
+def test_the_keyboard_stays_at_the_spot_that_others_are_compared_with(open_page):
+    page = open_page(viewport=WINDOW)
+    place_spots(page, (0.5, 0.5), (0.45, 0.4))
+    page.get_by_role("button", name="P2", exact=True).press("Enter")
+    assert page.evaluate("document.activeElement.textContent") == "P2"
+
+
 def test_spots_palette_and_range_outlast_a_reload(open_page):
     page = open_page(viewport=WINDOW)
     place_spots(page, (0.5, 0.5), (0.45, 0.4))
@@ -183,7 +216,7 @@ def test_the_photo_of_the_view_is_shown_and_enlarged(browser, baked, cameras, tm
     shown = page.locator("#photo")
     for name in ("view 0", "view 3"):
         page.select_option("#camera", name)
-        assert shown.get_attribute("src") == photos[name].source
+        assert shown.locator("img").get_attribute("src") == photos[name].source
     page.select_option("#camera", "view 2")
     assert not shown.is_visible()
     page.select_option("#camera", "view 1")
@@ -192,5 +225,7 @@ def test_the_photo_of_the_view_is_shown_and_enlarged(browser, baked, cameras, tm
     assert large.is_visible()
     page.keyboard.press("Escape")
     assert not large.is_visible()
+    shown.press("Enter")
+    assert large.is_visible()
     page.context.close()
     assert errors == []

@@ -59,6 +59,17 @@ def test_invalid_pixels_neither_cost_nor_pull():
     assert (gradient[valid] != 0).all()
 
 
+@pytest.mark.parametrize("value", [torch.nan, torch.inf])
+def test_invalid_pixels_may_hold_anything(value):
+    render, target = image(20, 25, 3), image(20, 25, 3, seed=1)
+    valid = torch.zeros(20, 25, dtype=torch.bool)
+    valid[:, :10] = True
+    broken = torch.where(valid[:, :, None], target, torch.tensor(value))
+    torch.testing.assert_close(
+        photometric_loss(render, broken, valid, 0.2), photometric_loss(render, target, valid, 0.2)
+    )
+
+
 def test_nothing_valid_costs_nothing():
     render = image(12, 12, 1).requires_grad_()
     loss = photometric_loss(

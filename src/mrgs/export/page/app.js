@@ -59,8 +59,9 @@ class Page {
     const address = URL.createObjectURL(source);
     this.worker = new Worker(address);
     this.sorting = false;
-    this.reading = false;
+    this.reading = null;
     this.waiting = null;
+    this.clicks = [];
     this.held = [];
     this.partsSent = 0;
     this.partsShown = 0;
@@ -169,14 +170,14 @@ class Page {
   showPhoto() {
     const source = document.querySelector(`script.photo[data-camera="${element("camera").selectedIndex}"]`)?.textContent;
     element("photo").hidden = !source;
-    if (source) element("photo").src = source;
+    if (source) element("photo").firstChild.src = source;
     if (!element("photo-large").hidden) this.enlargePhoto(Boolean(source));
   }
 
   // Over the picture, until it is clicked.
   enlargePhoto(large) {
     element("photo-large").hidden = !large;
-    if (large) element("photo-large").src = element("photo").src;
+    if (large) element("photo-large").src = element("photo").firstChild.src;
   }
 
   savePicture() {
@@ -361,22 +362,25 @@ class Page {
       if (!seen) return;
       this.viewpoint.holdAt(reading.depth);
       this.spots.add(pointAt(camera, pixel, reading.depth), reading);
-    });
+    }, true);
   }
 
-  // One question at a time: while one is being answered, only the newest waits.
-  ask(x, y, then) {
+  // One question at a time: while one is being answered, all clicks wait, and of what the pointer shows the newest.
+  ask(x, y, then, isClick = false) {
     if (!this.read) return;
     const { width, height, clientWidth, clientHeight } = this.canvas;
     const pixel = [Math.floor((x * width) / clientWidth) + 0.5, Math.floor((y * height) / clientHeight) + 0.5];
-    this.waiting = { camera: this.viewpoint.cameraFor(width, height), pixel, modality: this.read.name, then };
+    const question = { camera: this.viewpoint.cameraFor(width, height), pixel, modality: this.read.name, then };
+    if (isClick) this.clicks.push(question);
+    else this.waiting = question;
     this.askIfIdle();
   }
 
   askIfIdle() {
-    if (this.reading || !this.waiting) return;
-    this.reading = this.waiting;
-    this.waiting = null;
+    if (this.reading) return;
+    this.reading = this.clicks.shift() ?? this.waiting;
+    if (!this.reading) return;
+    if (this.reading === this.waiting) this.waiting = null;
     const { camera, pixel, modality } = this.reading;
     this.worker.postMessage({ read: { camera, x: pixel[0], y: pixel[1], modality } });
   }
@@ -471,17 +475,26 @@ class Page {
   lookForMarks() {
     if (this.lookedVersion === this.version || !this.read) return;
     this.lookedVersion = this.version;
+    this.lookForMark(0);
+  }
+
+  // One at a time, so that clicks and a new view need not wait for all.
+  lookForMark(first) {
     const { clientWidth, clientHeight } = this.canvas;
     const camera = this.viewpoint.cameraFor(clientWidth, clientHeight);
-    this.marks.forEach((mark, index) => {
-      const place = project(camera, mark.points[0]);
+    const { marks } = this;
+    for (let index = first; index < marks.length; index++) {
+      const place = project(camera, marks[index].points[0]);
+      if (!place) continue;
       const id = [index, this.version];
-      if (place) this.worker.postMessage({ read: { camera, x: place[0], y: place[1], modality: this.read.name, id } });
-    });
+      this.worker.postMessage({ read: { camera, x: place[0], y: place[1], modality: this.read.name, id } });
+      return;
+    }
   }
 
   seen({ reading, id: [index, version] }) {
     if (version !== this.version || index >= this.marks.length) return;
+    this.lookForMark(index + 1);
     const { position, rotation } = this.viewpoint;
     const depth = dot(rotation.slice(6, 9), subtract(this.marks[index].points[0], position));
     if (reading.alpha >= SURFACE_ALPHA && depth > HIDDEN_BEHIND * reading.depth) this.hidden.add(index);

@@ -149,6 +149,7 @@ def morton_order(means: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     """The rows along a space-filling curve, so that neighbours in the file are neighbours in space;
     by the ranks on each axis, which a few splats far away do not change."""
     ranks = np.argsort(np.argsort(means, axis=0, kind="stable"), axis=0).astype(np.uint64)
+    ranks >>= np.uint64(max(0, len(means).bit_length() - MORTON_BITS))
     code = np.zeros(len(means), dtype=np.uint64)
     for bit in range(MORTON_BITS):
         for axis in range(3):

@@ -16,6 +16,7 @@ class Renderer {
     this.splats = buildProgram(gl, SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.screen = buildProgram(gl, SCREEN_VERTEX, SCREEN_FRAGMENT);
     this.rows = model.slots / SPLATS_PER_ROW;
+    if (this.rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error("This model is too large for the graphics of this device.");
     this.geometry = newTexture(gl, gl.RGBA32F, 3 * SPLATS_PER_ROW, this.rows, gl.NEAREST);
     this.appearances = Object.fromEntries(
       modalities.map(({ name, channels }) => [name, { channels, texture: newTexture(gl, gl.RG32F, SPLATS_PER_ROW, this.rows, gl.NEAREST) }]),

@@ -89,6 +89,7 @@ class Spots {
   }
 
   show() {
+    const focused = [...element("spot-list").querySelectorAll("button")].indexOf(document.activeElement);
     element("spots").hidden = !this.list.length;
     element("spot-list").replaceChildren(...this.list.map((spot) => {
       const row = document.createElement("div");
@@ -110,5 +111,6 @@ class Spots {
       row.append(name, value, difference, drop);
       return row;
     }));
+    element("spot-list").querySelectorAll("button")[focused]?.focus();
   }
 }

@@ -181,8 +181,9 @@ def _add_errors(comparison, row, rows, strip):
     errors = address(rows, 4 * rows.shape[1] + RADIUS * comparison.channels)
     totals, scalars = address(comparison.sums, strip * width), comparison.scalars
     dssim, l1, half_width = scalars[0], scalars[1], scalars[5]
+    zero = dssim - dssim
     for i in range(width):
-        difference = x[i] - y[i]
+        difference = x[i] - y[i] if weights[i] != zero else zero
         slope = _huber_slope(difference, scalars)
         totals[i] += weights[i] * (
             l1 * slope * (difference - half_width * slope) + dssim * errors[i]

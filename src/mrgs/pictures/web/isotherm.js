@@ -52,7 +52,10 @@ class IsothermControl {
     this.scale = scale;
     const [lower, upper] = [0.25, 0.75].map((share) => scale.number(range[0] + share * (range[1] - range[0])));
     this.kept = { above: [upper], below: [lower], between: [upper, scale.number(scale.max)] };
-    for (const option of this.select.options) option.hidden = option.dataset.celsius !== undefined && scale.unit !== "°C";
+    for (const option of this.select.options) {
+      option.hidden = option.disabled = option.dataset.celsius !== undefined && scale.unit !== "°C";
+    }
+    if (this.select.selectedOptions[0]?.disabled) this.select.selectedIndex = 0;
     this.show();
   }
 

@@ -147,7 +147,8 @@ class Navigation {
   }
 
   release(event) {
-    if (this.pointers.delete(event.pointerId) && this.travelled <= TAP_PX && this.pointers.size === 0) {
+    const isTap = event.button === 0; // other buttons move the view
+    if (this.pointers.delete(event.pointerId) && isTap && this.travelled <= TAP_PX && this.pointers.size === 0) {
       this.handlers.onTap(event.offsetX, event.offsetY);
     }
   }
@@ -170,7 +171,7 @@ class Navigation {
       h: () => this.handlers.onHome(),
       Home: () => this.handlers.onHome(),
     };
-    const action = actions[event.key];
+    const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (!action || isShortcut(event)) return;
     event.preventDefault();
     this.handlers.onMove();

@@ -78,6 +78,13 @@ class Pictures {
     return [clientWidth, clientHeight].map((side) => Math.max(1, Math.floor(side * ratio)));
   }
 
+  // A picture that could not be drawn is not waited for.
+  undrawn({ number }) {
+    if (this.asked?.number !== number) return;
+    this.asked = null;
+    this.askIfFree();
+  }
+
   async received(facts, blob) {
     const asked = this.asked;
     if (!asked || facts.number !== asked.number) return; // overtaken by a newer place
@@ -111,6 +118,7 @@ class Page {
     const handlers = {
       hello: (facts) => this.begin(facts),
       changed: () => this.pictures.ask("resting"),
+      undrawn: (facts) => this.pictures.undrawn(facts),
       note: ({ text }) => this.noted(text),
       hover: ({ text }) => this.showTip(text),
       point: ({ of }) => this.showPoint(of),
@@ -237,7 +245,7 @@ class Page {
     const [left, top, width, height] = panes[panes.length - 1].place;
     const [x, y] = [left + width / 2, top + height / 2];
     if (event.key === "Enter") this.connection.send("read", { x, y });
-    else if (event.key === "s" && this.facts.marks) this.connection.send("add_mark", { kind: "spot", points: [[x, y]] });
+    else if (event.key.toLowerCase() === "s" && this.facts.marks) this.connection.send("add_mark", { kind: "spot", points: [[x, y]] });
     else return;
     event.preventDefault();
   }
@@ -365,7 +373,7 @@ class Page {
   ended() {
     this.hasEnded = true; // a picture may still be on its way to the screen
     element("status").hidden = false;
-    element("status").textContent = "The viewer has ended. Start it again, and open its new address.";
+    element("status").textContent = "The connection to the viewer is lost. Reload the page; if that fails, start the viewer again, and open its new address.";
   }
 
   // --- over the picture ---

@@ -53,6 +53,7 @@ class MarkDrawing {
   }
 
   press(event) {
+    if (event.button) return;
     this.pressed = [event.offsetX, event.offsetY];
     this.selector.setPointerCapture(event.pointerId);
   }
