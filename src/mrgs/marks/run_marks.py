@@ -251,8 +251,6 @@ class MarkPicker:
         if not np.isfinite(z):
             return np.nan
         place = camera.unproject(np.add(pixel, 0.5), z)
-        if at_once and not self.meter.survey.made_near(place[None].float().numpy()):
-            return np.nan
         radius = spot_radius(tuple(place.tolist()), camera, self._scene)
         steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, DISC_PX)] * 2), axis=-1)
         disc = radius * camera.K[0, 0].item() / z * steps[np.hypot(*steps.T) <= 1]
@@ -261,6 +259,8 @@ class MarkPicker:
         around = depth[pixels[:, 1], pixels[:, 0]]
         same = np.abs(around - z) < SAME_SURFACE * z
         places = camera.unproject(pixels[same] + 0.5, around[same]).double().numpy()
+        if at_once and not self.meter.survey.made_near(places.astype(np.float32)):
+            return np.nan
         unknown = np.full(len(places), np.nan)
         found, _ = self.meter.temperatures(places, unknown, regions, camera.position.numpy())
         known = found[np.isfinite(found)]
