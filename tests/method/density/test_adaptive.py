@@ -111,7 +111,8 @@ def test_halves_are_drawn_from_the_rotated_gaussian():
     assert places.mean(dim=0).norm() < 0.03 * LARGE
 
 
-def test_transparent_in_both_modalities_is_pruned():
+@pytest.mark.parametrize(("prune_unshared", "left"), [(False, [1, 2, 3]), (True, [3])])
+def test_transparent_in_both_modalities_is_pruned_or_in_any(prune_unshared, left):
     transparent, opaque = 0.004, 0.006
     optimizer = build(
         [SMALL] * 4,
@@ -119,9 +120,9 @@ def test_transparent_in_both_modalities_is_pruned():
         opacities_thermal=[transparent, opaque, transparent, opaque],
     )
     before = optimizer.gaussians.means.detach().clone()
-    counts, after = run(optimizer, [0.0] * 4)
-    assert counts == {"cloned": 0, "split": 0, "pruned": 1}
-    assert torch.equal(after.means, before[1:])
+    counts, after = run(optimizer, [0.0] * 4, replace(CONFIG, prune_unshared=prune_unshared))
+    assert counts == {"cloned": 0, "split": 0, "pruned": 4 - len(left)}
+    assert torch.equal(after.means, before[left])
 
 
 def test_a_shared_opacity_decides_alone():

@@ -43,6 +43,7 @@ class AdaptiveDensityControl(Strategy):
         clone_below: Gaussians smaller than this share of the scene's extent are cloned, larger ones
             split.
         prune_opacity: Gaussians are removed if no modality's opacity reaches this.
+        prune_unshared: also if one modality's does not (docs/decisions, 009).
         prune_above: Gaussians larger than this share of the extent are removed, after the first
             opacity reset, unless training starts with distant points.
         reset_every: steps between opacity resets, up to ``stop``; None for no resets.
@@ -57,6 +58,7 @@ class AdaptiveDensityControl(Strategy):
     gradient_threshold: float = 2e-4
     clone_below: float = 0.01
     prune_opacity: float = 0.005
+    prune_unshared: bool = False
     prune_above: float = 0.1
     reset_every: int | None = 3_000
     reset_opacity: float = 0.01
@@ -199,9 +201,10 @@ def _within_budget(
 def _is_superfluous(
     gaussians: Gaussians, config: AdaptiveDensityControl, extent: float, prunes_large: bool
 ) -> Bool[Tensor, " n"]:
-    """Transparent in all modalities, or too large."""
-    opacities = [gaussians.opacity(modality) for modality in gaussians.modalities]
-    superfluous = torch.stack(opacities).amax(dim=0) < config.prune_opacity
+    """Transparent in all modalities, or in any, or too large."""
+    opacities = torch.stack([gaussians.opacity(modality) for modality in gaussians.modalities])
+    decisive = opacities.amin(dim=0) if config.prune_unshared else opacities.amax(dim=0)
+    superfluous = decisive < config.prune_opacity
     if prunes_large:
         superfluous |= gaussians.scales.max(dim=1).values > config.prune_above * extent
     return superfluous
