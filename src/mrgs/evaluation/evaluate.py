@@ -41,7 +41,6 @@ from mrgs.runs.open import Run
 from mrgs.scene import (
     BUILT_IN,
     THERMAL,
-    Blend,
     CameraResponse,
     Modality,
     Pixels,
@@ -270,13 +269,11 @@ class _Measure(NamedTuple):
     def figures(self, modality: Modality, photo: Pixels | None, rendering: Rendering) -> Figures:
         """The figures of one modality in one view, by ``figure_names``."""
         names = figure_names(modality)
-        if photo is None or modality not in rendering:
-            return all_missing(
-                names, f"the view has no {modality.title} image, or the model does not render it"
-            )
-        if photo.valid is not None and not photo.valid.any():
-            return all_missing(names, "no pixel of the photo is valid")
-        image, compared = rendering[modality].image, (photo.values, photo.valid)
+        found = _compared(modality, photo, rendering)
+        if isinstance(found, Missing):
+            return all_missing(names, found.reason)
+        image, photo = found
+        compared = photo.values, photo.valid
         figures: Figures = {
             "psnr": psnr(image, *compared),
             "psnr_matched": psnr_matched(image, *compared),
@@ -287,6 +284,17 @@ class _Measure(NamedTuple):
         if modality == THERMAL:
             figures |= _temperature_figures(image, photo, self.temperature, self.foreground)
         return {name: figures[name] for name in names}
+
+
+def _compared(
+    modality: Modality, photo: Pixels | None, rendering: Rendering
+) -> tuple[Tensor, Pixels] | Missing:
+    """A modality's rendered image and its photo, or why they cannot be compared."""
+    if photo is None or modality not in rendering:
+        return Missing(f"the view has no {modality.title} image, or the model does not render it")
+    if photo.valid is not None and not photo.valid.any():
+        return Missing("no pixel of the photo is valid")
+    return rendering[modality].image, photo
 
 
 def _lpips(image: Tensor, photo: Pixels, lpips: Lpips | None) -> Figure:
@@ -360,8 +368,7 @@ def _score(run: Run, view: View, photos: Mapping[Modality, Pixels], truth: Truth
     )
     observed = run.camera_response(rendering, view.camera)
     figures: Figures = {
-        f"{modality}_psnr": _psnr(photos.get(modality), observed.get(modality))
-        for modality in BUILT_IN
+        f"{modality}_psnr": _psnr(modality, photos.get(modality), observed) for modality in BUILT_IN
     }
     thermal = rendering[THERMAL].image if THERMAL in rendering else None
     figures["truth_mae_c"] = (
@@ -372,9 +379,9 @@ def _score(run: Run, view: View, photos: Mapping[Modality, Pixels], truth: Truth
     return figures
 
 
-def _psnr(photo: Pixels | None, blend: Blend | None) -> Figure:
-    if photo is None or blend is None:
-        return Missing("the view has no such image, or the model does not render it")
-    if photo.valid is not None and not photo.valid.any():
-        return Missing("no pixel of the photo is valid")
-    return psnr(blend.image, photo.values, photo.valid)
+def _psnr(modality: Modality, photo: Pixels | None, rendering: Rendering) -> Figure:
+    found = _compared(modality, photo, rendering)
+    if isinstance(found, Missing):
+        return found
+    image, photo = found
+    return psnr(image, photo.values, photo.valid)

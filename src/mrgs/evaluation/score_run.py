@@ -199,6 +199,7 @@ def score_views(
         truth: the scene's exact truth; None if there is none.
         lpips_weights: weights for LPIPS, if not those that torch's hub keeps.
         camera_response: from a rendering to what the cameras record, which the photos show.
+        of_run: what only a run has.
     """
     if not scene.eval:
         remedy = (

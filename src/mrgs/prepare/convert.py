@@ -30,7 +30,7 @@ from mrgs.data.radiometric import (
     VisibleImage,
     read_thermal_photo,
 )
-from mrgs.data.radiometric.exif import JPEG_SIGNATURE, clean_text
+from mrgs.data.radiometric.exif import JPEG_SIGNATURE, PNG_SIGNATURE, clean_text
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError, ToolError, scene_error
 from mrgs.pictures.settings import SETTINGS
@@ -60,7 +60,7 @@ _VERSION = 11
 Orientations = Mapping[Modality, int]
 """The EXIF orientation of all photos of a modality."""
 
-_SUFFIXES = {JPEG_SIGNATURE: ".jpg", b"\x89PNG": ".png"}
+_SUFFIXES = {JPEG_SIGNATURE: ".jpg", PNG_SIGNATURE: ".png"}
 
 LYING = 5
 """EXIF orientation from which on rows and columns change places in the upright image."""

@@ -348,8 +348,9 @@ def _judged(
     if irradiance is not None and power_w is not None:
         watts = power_w * irradiance / NOMINAL_W_M2
         kwh = None if yield_kwh is None else power_w * yield_kwh / 1000
-    is_enough = irradiance is not None and irradiance >= LEAST_W_M2
-    factor = NOMINAL_W_M2 / irradiance if irradiance is not None and is_enough else None
+    factor = None
+    if irradiance is not None and irradiance >= LEAST_W_M2:
+        factor = NOMINAL_W_M2 / irradiance
     for n, (line_of, found) in enumerate(zip(numbers.tolist(), findings, strict=True)):
         delta = found.celsius - float(beside[n])
         shared = _of_difference(budget, found.celsius, float(beside[n]))

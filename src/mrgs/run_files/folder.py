@@ -329,16 +329,13 @@ class RunFolder:
     @property
     def is_locked(self) -> bool:
         """Whether a process uses the folder. One that cannot be written is not used."""
-        file = self.path / LOCK
-        if not file.exists():
+        if not (self.path / LOCK).exists():
             return False
         try:
-            with FileLock(file, timeout=0):
+            with self.locked():
                 return False
-        except Timeout:
-            return True
-        except OSError:
-            return False
+        except RunError as error:
+            return isinstance(error, FolderInUseError)
 
     @contextmanager
     def training(self, config: RunConfig, resume: bool) -> Iterator[None]:

@@ -194,7 +194,7 @@ def _degrees(
     return -angle if side == negative else angle
 
 
-JPEG_SIGNATURE = b"\xff\xd8\xff"
+JPEG_SIGNATURE, PNG_SIGNATURE = b"\xff\xd8\xff", b"\x89PNG"
 _APP1, _APP3 = 0xE1, 0xE3
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 _STANDALONE = {0x01, *range(0xD0, 0xD9)}

@@ -17,7 +17,14 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt16
 
 from mrgs.data.images import opened
-from mrgs.data.radiometric.exif import JPEG_SIGNATURE, ExifFacts, clean_text, flir_record, read_exif
+from mrgs.data.radiometric.exif import (
+    JPEG_SIGNATURE,
+    PNG_SIGNATURE,
+    ExifFacts,
+    clean_text,
+    flir_record,
+    read_exif,
+)
 from mrgs.data.radiometric.measurement import MAX_TRANSMISSION, Measurement, object_temperature
 from mrgs.data.radiometric.photo import Alignment, Overrides, PhotoFacts, ThermalPhoto, VisibleImage
 from mrgs.data.radiometric.raster import finished, refuse_recording
@@ -37,8 +44,8 @@ for phones is 298; between the others, if it is a whole number of °C in K, such
 _MEDIAN_LIMITS_C = (-150.0, 3000.0)
 """A photo whose middle temperature is outside was not computed with its camera's constants."""
 
-_PNG, _JPEG_LS = b"\x89PNG", b"\xff\xd8\xff\xf7"
-"""How a compressed raw image begins."""
+_JPEG_LS = b"\xff\xd8\xff\xf7"
+"""How a raw image in JPEG-LS begins."""
 
 _WORKSWELL = b"WWP"
 """Creator of a record whose numbers are temperatures; its Planck constants are all 0."""
@@ -132,7 +139,7 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
         )
     width, height = int(size[0]), int(size[1])
     content = record[_IMAGE_OFFSET:]
-    if content.startswith(_PNG):
+    if content.startswith(PNG_SIGNATURE):
         return _smoother_order(_png_counts(content, width, height, path))
     if content.startswith(_JPEG_LS):
         return _smoother_order(_jpeg_ls_counts(content, width, height, path))
@@ -276,7 +283,7 @@ def _visible(records: Records, path: Path) -> tuple[VisibleImage | None, tuple[s
     if content is None:
         return None, ()
     image = content[_IMAGE_OFFSET:]
-    if not image.startswith((_PNG, JPEG_SIGNATURE)):
+    if not image.startswith((PNG_SIGNATURE, JPEG_SIGNATURE)):
         return None, (
             "The photo in visible light inside the file is of an unknown kind; left out.",
         )

@@ -62,6 +62,7 @@ class Page {
     this.reading = null;
     this.waiting = null;
     this.clicks = [];
+    this.round = 0;
     this.held = [];
     this.partsSent = 0;
     this.partsShown = 0;
@@ -475,6 +476,7 @@ class Page {
   lookForMarks() {
     if (this.lookedVersion === this.version || !this.read) return;
     this.lookedVersion = this.version;
+    this.round++;
     this.lookForMark(0);
   }
 
@@ -486,14 +488,14 @@ class Page {
     for (let index = first; index < marks.length; index++) {
       const place = project(camera, marks[index].points[0]);
       if (!place) continue;
-      const id = [index, this.version];
+      const id = [index, this.version, this.round];
       this.worker.postMessage({ read: { camera, x: place[0], y: place[1], modality: this.read.name, id } });
       return;
     }
   }
 
-  seen({ reading, id: [index, version] }) {
-    if (version !== this.version || index >= this.marks.length) return;
+  seen({ reading, id: [index, version, round] }) {
+    if (version !== this.version || round !== this.round || index >= this.marks.length) return;
     this.lookForMark(index + 1);
     const { position, rotation } = this.viewpoint;
     const depth = dot(rotation.slice(6, 9), subtract(this.marks[index].points[0], position));

@@ -20,7 +20,7 @@ from mrgs.data.files import (
 from mrgs.data.images import holds_numbers, opened, stored_size
 from mrgs.data.kept import Stamp, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
-from mrgs.data.radiometric.exif import JPEG_SIGNATURE, RECORD_MARKS, flir_record
+from mrgs.data.radiometric.exif import JPEG_SIGNATURE, PNG_SIGNATURE, RECORD_MARKS, flir_record
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.data.radiometric.table import columns_of, numbers_in
 from mrgs.errors import SceneError, printable, scene_error
@@ -63,7 +63,7 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         if not data:
             return "is empty; copy it again"
         reader = reader_of(data, path)
-        is_plain = data.startswith((JPEG_SIGNATURE, b"\x89PNG"))
+        is_plain = data.startswith((JPEG_SIGNATURE, PNG_SIGNATURE))
         if suffix in _UNSUPPORTED and not is_plain:  # a raw photo is a TIFF with a preview
             return f"is a {suffix[1:].upper()} file, {NOT_READ}"
         if data[4:12] in _HEIC or data[8:12] == b"WEBP":  # whatever its name says
