@@ -461,11 +461,57 @@ def test_damaged_json(writer, text, message):
         load_scene(writer.root)
 
 
-def test_several_transforms_files_are_not_guessed_between(writer):
-    for name in ("transforms_train.json", "transforms_test.json"):
+@pytest.mark.parametrize("other", ["transforms_b.json", "transforms_train_2.json"])
+def test_several_transforms_files_are_not_guessed_between(writer, other):
+    for name in ("transforms_train.json", other):
         writer.json(name, writer.thermoscenes())
     with pytest.raises(SceneError, match="several transforms files"):
         load_scene(writer.root)
+
+
+@pytest.fixture
+def splits(writer):
+    """A scene of one file for each split, as NeRF's synthetic ones: equal names in two folders,
+    without extensions, one angle of view for each file."""
+    for split, size in (("train", (16, 12)), ("test", (20, 16))):
+        frames = []
+        for index in range(3):
+            name = f"{split}/r_{index}.png"
+            writer.image(name, "RGB", size, seed=index)
+            writer.image(f"thermal/{name}", "L", size, seed=index + 10 * (split == "test"))
+            pose = orbit_pose(0.1 * index + (split == "test")).tolist()
+            frames.append({"file_path": f"./{split}/r_{index}", "transform_matrix": pose})
+        angle = {"train": 0.7, "test": 0.9}[split]
+        writer.json(f"transforms_{split}.json", {"camera_angle_x": angle, "frames": frames})
+    return writer.root
+
+
+@pytest.mark.parametrize("file", ["", "transforms_train.json"])
+def test_a_file_for_each_split_is_one_scene(splits, file):
+    scene = load_scene(splits / file)
+    assert [len(scene.train), len(scene.eval)] == [3, 3]
+    for views, split, size, angle in (
+        (scene.train, "train", (16, 12), 0.7),
+        (scene.eval, "test", (20, 16), 0.9),
+    ):
+        for view in views:
+            image = view.images[RGB]
+            stored = (
+                np.asarray(
+                    Image.open(splits / "thermal" / split / f"{view.name[-3:]}.png"), np.float32
+                )
+                / 255
+            )
+            assert view.name.startswith(f"{split}_r_")
+            np.testing.assert_array_equal(view.images[THERMAL].load().values[..., 0], stored)
+            assert (image.camera.width, image.camera.height) == size
+            assert image.camera.K[0, 0].item() == pytest.approx(size[0] / 2 / math.tan(angle / 2))
+
+
+def test_frames_of_another_split_are_checked_as_well(writer, splits):
+    writer.json("transforms_val.json", {"frames": [3]})
+    with pytest.raises(SceneError, match=r"transforms_val\.json: .*frames"):
+        load_scene(splits)
 
 
 def test_a_mask_of_another_size_is_refused(writer):

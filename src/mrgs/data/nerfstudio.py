@@ -6,7 +6,8 @@ thermal camera of its own is given by ``thermal_camera`` (intrinsics, at the top
 and ``thermal_transform_matrix``. The same keys exist for every modality that the file lists under
 ``modalities`` (``[{"name": "nir", "channels": 1}]``; ``unit`` and ``title`` may be added), and for
 those that Python has registered. With ``is_thermal`` (0 or 1), as in ThermalNeRF's scenes, each
-camera's images are frames of their own.
+camera's images are frames of their own. A file for each split, as in NeRF's synthetic scenes, is
+read as one scene.
 """
 
 from __future__ import annotations
@@ -77,6 +78,8 @@ _REFUSED = (
     "orthographic", "rolling_shutter", "transform_matrix_start", "from_na", "distortion_params",
 )  # fmt: skip
 """Keys of nerfstudio, instant-ngp and others that change what the rest means, and are not read."""
+_SPLIT_FILES = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
+"""Files of one split each; the last two are held out."""
 _LEGACY_APPLIED_TRANSFORM = np.array(
     [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 )
@@ -84,17 +87,20 @@ _LEGACY_APPLIED_TRANSFORM = np.array(
 
 
 def find_transforms(root: Path) -> Path | None:
-    """The scene's ``transforms.json``, or ``transforms_thermal.json``, or the only other one."""
+    """The scene's ``transforms.json``, or ``transforms_thermal.json``, or the only other one, or
+    ``transforms_train.json`` of one file for each split."""
     for name in ("transforms.json", "transforms_thermal.json"):
         if is_file(root / name):
             return contained(root, name, root)
-    others = sorted(root.glob("transforms*.json"))
-    if len(others) > 1:
-        names = ", ".join(path.name for path in others)
+    names = sorted(path.name for path in root.glob("transforms*.json"))
+    if _SPLIT_FILES[0] in names and set(names) <= set(_SPLIT_FILES):
+        names = [_SPLIT_FILES[0]]
+    if len(names) > 1:
+        listed = ", ".join(names)
         raise scene_error(
-            root, f"has several transforms files ({names}); join them into one transforms.json"
+            root, f"has several transforms files ({listed}); join them into one transforms.json"
         )
-    return contained(root, others[0].name, root) if others else None
+    return contained(root, names[0], root) if names else None
 
 
 def read_transforms(root: Path, file: Path) -> SceneSource:
@@ -136,13 +142,33 @@ def _folders(modality: Modality) -> tuple[str, ...]:
     return str(modality), f"images_{modality}", f"{modality}_images"
 
 
+def _content(root: Path, file: Path) -> dict[str, Any]:
+    """The file's JSON; that of the training split with the frames of the other splits' files, each
+    with its own file's lens, which are held out."""
+    content = read_json_object(file)
+    if file.name != _SPLIT_FILES[0]:
+        return content
+    held_out: list[dict[str, Any]] = []
+    for name in filter(lambda name: is_file(root / name), _SPLIT_FILES[1:]):
+        other = read_json_object(contained(root, name, root))
+        frames = json_value(list[dict[str, Any]], other.get("frames"), '"frames"', root / name)
+        held_out += [{**_of_lens(other), **frame} for frame in frames]
+    if held_out:
+        frames = json_value(list[Any], content.get("frames"), '"frames"', file)
+        content["frames"] = [*frames, *held_out]
+        content["test_filenames"] = [
+            frame.get("file_path", frame.get("thermal_file_path", "")) for frame in held_out
+        ]
+    return content
+
+
 class _TransformsReader:
     """Holds what every step needs: the folder, the file's content and the notes."""
 
     def __init__(self, root: Path, file: Path) -> None:
         self.root = root
         self.file = file
-        self.top = read_json_object(file)
+        self.top = _content(root, file)
         self.images = ImageFinder(root)
         self.notes = ReadingNotes()
         self.modalities = self._modalities()
@@ -234,8 +260,9 @@ class _TransformsReader:
     def _image_paths(self, frame: Mapping[str, Any], what: str) -> dict[Modality, Path]:
         """The images of a frame by modality, RGB first. A ``file_path`` in a folder named like
         another modality is of that one; an image that is not named is looked for in the folder of
-        its modality, under the name of the first. A frame that says whether it ``is_thermal``, as
-        ThermalNeRF's do, has one image, and so has its camera."""
+        its modality, under the name of the first, with or without that one's own folder. A frame
+        that says whether it ``is_thermal``, as ThermalNeRF's do, has one image, and so has its
+        camera."""
         first = self._path(frame, "file_path", what)
         others = [modality for modality in self.modalities if modality != RGB]
         paths = {
@@ -254,7 +281,8 @@ class _TransformsReader:
                 return {modality: first, **paths}
         found = {RGB: first, **paths}
         for modality in (each for each in others if each not in found):
-            named = (f"{folder}/{first.name}" for folder in _folders(modality))
+            names = f"{first.parent.name}/{first.name}", first.name
+            named = (f"{folder}/{name}" for name in names for folder in _folders(modality))
             tried = (self.images.find(name, self.file) for name in named)
             if path := next(filter(None, tried), None):
                 found[modality] = path
