@@ -23,7 +23,8 @@ from mrgs.scene import Camera
 from mrgs_synth.facade import facade
 from mrgs_synth.generate import stage_cameras
 from mrgs_synth.hits import Triangles, first_hits
-from mrgs_synth.radiometry import KELVIN, facing_normals, surface_reading
+from mrgs_synth.planck import band_radiance, temperature
+from mrgs_synth.radiometry import facing_normals, surface_reading
 from mrgs_synth.stage import Solid, Stage
 from mrgs_synth.tabletop import tabletop
 
@@ -133,13 +134,14 @@ def _by_direction(
     rows, shape = np.arange(len(place)), (len(place), place.max() + 1)
     reflected = csr_matrix((share, (rows, cell)), shape=(len(place), CELLS))
     own = csr_matrix((np.ones(len(place)), (rows, place)), shape=shape)
-    radiance = ((reading + KELVIN) / 300) ** 4
+    unit = band_radiance(np.array(27.0))
+    radiance = band_radiance(reading) / unit
     middle = np.median(radiance)
     system = hstack([reflected, own]).tocsr()
     damped = hstack([diags(np.full(CELLS, DAMPING)), csr_matrix((CELLS, shape[1]))])
     wanted = np.concatenate([(radiance - middle)[train], np.zeros(CELLS)])
     solution = lsqr(vstack([system[train], damped]), wanted, iter_lim=400)[0]
-    return 300 * (system @ solution + middle) ** 0.25 - KELVIN
+    return temperature(unit * (system @ solution + middle))
 
 
 if __name__ == "__main__":

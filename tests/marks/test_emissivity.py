@@ -21,6 +21,7 @@ from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Rendering
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord, Planck
+from mrgs_synth.planck import band_radiance, temperature
 from tests.helpers.flir import FlirPhoto
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall, wall_celsius
 
@@ -216,6 +217,24 @@ def test_the_typical_law_is_that_of_black_bodies_near_ten_micrometres():
     exact = np.expm1(c2 / (10 * 290.0)) / np.expm1(c2 / (10 * 300.0))
     found = TYPICAL_LAW.signal(26.85) / TYPICAL_LAW.signal(16.85)
     assert found == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("celsius", "emissivity", "reflected_c", "off_c"),
+    [
+        (20.0, 0.93, 0.0, 0.01),
+        (10.0, 0.92, -20.0, 0.01),
+        (60.0, 0.95, 20.0, 0.02),
+        (40.0, 0.3, 25.0, 0.04),
+        (120.0, 0.3, 20.0, 1.3),
+    ],
+)
+def test_the_typical_law_is_near_the_band_of_a_camera(celsius, emissivity, reflected_c, off_c):
+    """A surface as a camera of 7.5 to 13 µm reads it, whose file holds no calibration."""
+    own, reflected = band_radiance(np.array([celsius, reflected_c]))
+    reading = temperature(np.array(emissivity * own + (1 - emissivity) * reflected))
+    found = CaptureSettings().corrected(reading, SurfaceSettings(emissivity, reflected_c))
+    assert found == pytest.approx(celsius, abs=off_c)
 
 
 def test_splats_of_a_region_are_corrected():

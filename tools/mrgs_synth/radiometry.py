@@ -1,10 +1,10 @@
 """What an ideal thermal camera reads: emission and one reflection, without an atmosphere between.
 
 A surface of emissivity ε and temperature T emits the share ε of a black body's radiance and
-reflects 1 − ε of what meets it (Kirchhoff's law for opaque grey bodies). With radiance proportional
-to T⁴ (Stefan and Boltzmann), a camera that is set to an emissivity of 1 reads, in kelvin,
+reflects 1 − ε of what meets it (Kirchhoff's law for opaque grey bodies). With L, a black body's
+radiance in the camera's band (``planck``), a camera that is set to an emissivity of 1 reads
 
-    T_read = (ε T⁴ + (1 − ε) T_reflected⁴)^(1/4).
+    T_read = L⁻¹(ε L(T) + (1 − ε) L(T_reflected)).
 
 A mirror reflects what lies in the direction r = d − 2 (d·n) n of the ray d at the normal n: the
 first surface there, which emits with its own ε and scatters the mean of its surroundings, or what
@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from mrgs.scene import Camera
 from mrgs_synth.hits import Triangles, first_hits, ray_directions
-from mrgs_synth.planck import KELVIN, band_radiance, temperature
+from mrgs_synth.planck import band_radiance, temperature
 from mrgs_synth.stage import Stage
 
 
@@ -92,8 +92,9 @@ def mixed(
 ) -> Float[np.ndarray, " n"]:
     """The reading of a surface that reflects what reads ``reflected_c``, °C; exactly ``own_c`` at
     an emissivity of 1."""
-    power = emissivity * (own_c + KELVIN) ** 4 + (1.0 - emissivity) * (reflected_c + KELVIN) ** 4
-    return np.where(emissivity == 1.0, own_c, power**0.25 - KELVIN)
+    emitted, reflected = emissivity * band_radiance(own_c), band_radiance(reflected_c)
+    reading = temperature(emitted + (1.0 - emissivity) * reflected)
+    return np.where(emissivity == 1.0, own_c, reading)
 
 
 def facing_normals(
