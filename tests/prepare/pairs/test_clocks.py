@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.prepare.pairs.rules import clock_offset, match_times
+from mrgs.prepare.pairs.clocks import clock_offset, match_times
 
 TIMES = st.lists(st.integers(0, 60).map(lambda tenths: tenths / 10), max_size=5).map(sorted)
 
