@@ -229,10 +229,46 @@ def test_tags_of_a_tiff_that_pillow_does_not_know(tmp_path):
     assert read_exif(data).orientation == 6
 
 
-def test_shares_of_the_bounds_are_doubted(tmp_path):
+def test_shares_of_the_bounds_are_read_by_these(tmp_path):
     shares = (SCENE_C - 5) / np.float32(25)
-    _, _, said = ThermalScene(tmp_path, shares).loaded(0, 40)
-    assert any("from 0 to 1" in text for text in said)
+    celsius, valid, said = ThermalScene(tmp_path, shares).loaded(5, 30)
+    np.testing.assert_allclose(celsius, SCENE_C, atol=1e-4)
+    assert valid.all()
+    assert any("shares of the scale" in text for text in said)
+
+
+def test_shares_without_bounds_are_relative(tmp_path):
+    shares = (SCENE_C - 5) / np.float32(25)
+    with pytest.warns(MrgsWarning, match="relative values without °C"):
+        scene = load_scene(ThermalScene(tmp_path, shares).writer.root)
+    assert scene.temperature is None
+    values = scene.train[0].images[THERMAL].load().values[..., 0]
+    np.testing.assert_array_equal(values, shares)
+
+
+def test_a_range_of_a_degree_is_one_of_degrees(tmp_path):
+    cold = (SCENE_C - 5) / np.float32(25)
+    celsius, _, said = ThermalScene(tmp_path, cold).loaded(0, 1)
+    np.testing.assert_allclose(celsius, cold, atol=1e-6)
+    assert said == []
+
+
+def test_zeros_around_a_warped_image_are_missing(tmp_path):
+    warped = SCENE_C + np.float32(10)
+    warped[:, :3] = 0
+    celsius, valid, said = ThermalScene(tmp_path, warped).loaded()
+    assert not valid[:, :3].any()
+    assert valid[:, 3:].all()
+    np.testing.assert_allclose(celsius[valid], warped[valid], atol=1e-4)
+    assert any("exactly 0" in text for text in said)
+
+
+def test_zeros_near_other_temperatures_are_temperatures(tmp_path):
+    near = SCENE_C - np.float32(5)
+    assert (near == 0).any()
+    _, valid, said = ThermalScene(tmp_path, near).loaded()
+    assert valid.all()
+    assert said == []
 
 
 def test_kelvin_among_celsius_are_said(tmp_path):

@@ -7,6 +7,7 @@ import torch
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.scene import RGB, THERMAL
+from tests.helpers.layouts import HEIGHT, WIDTH
 
 
 def rgbt(writer) -> list[str]:
@@ -44,6 +45,40 @@ def test_rgbt_scenes(writer):
     assert all(view.shares_camera(RGB, THERMAL) for view in scene.train)
     assert scene.points.positions[2].tolist() == [-80, 1, 0]  # a far point is real
     assert any("luminance" in note for note in scene.notes)
+
+
+def test_thermalmix(writer):
+    """Arrays of shares of the highest temperature, warped into the RGB photos' cameras, beside the
+    thermal camera's own images."""
+    names = [f"IMG_{index}.JPG" for index in range(9)]
+    shares = np.random.default_rng(0).uniform(0.4, 1.0, (len(names), HEIGHT, WIDTH))
+    shares[:, :, :2] = 0
+    (writer.root / "warped_thermal").mkdir()
+    for name, share in zip(names, shares, strict=True):
+        writer.image(f"rgb/{name.replace('JPG', 'jpg')}")
+        writer.image(f"thermal/{name.replace('JPG', 'png')}", "L", (8, 8))
+        np.save(writer.root / f"warped_thermal/{name[:-4]}.npy", share)
+    writer.colmap(
+        names,
+        binary=True,
+        model="PINHOLE",
+        parameters=(20, 22, 12.5, 7.5),
+        folder="colmap_sparse/0",
+    )
+    writer.bounds(0, 48.3)
+    with (
+        pytest.warns(MrgsWarning, match="shares of the scale"),
+        pytest.warns(MrgsWarning, match="exactly 0"),
+    ):
+        scene = load_scene(writer.root)
+    view = scene.train[0]
+    assert view.shares_camera(RGB, THERMAL)
+    pixels = view.images[THERMAL].load()
+    assert not pixels.valid[:, :2].any()
+    celsius = scene.temperature.to_celsius(pixels.values[:, 2:, 0])
+    np.testing.assert_allclose(
+        celsius, 48.3 * shares[names.index(f"{view.name}.JPG"), :, 2:], atol=1e-4
+    )
 
 
 def test_names_in_the_model_may_be_bare_stems(writer):

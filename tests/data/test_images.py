@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 
 from mrgs.data.images import (
+    ImageInfo,
     decode,
     decode_mask,
     has_eight_bit_levels,
@@ -45,6 +46,55 @@ def test_floats_are_kept_and_what_is_not_finite_is_masked(tmp_path):
     assert values[..., 0].tolist() == [[-12.25, 80.5], [0, 0]]
     assert valid.tolist() == [[True, True], [False, False]]
     assert kind == "float"
+
+
+@pytest.mark.parametrize(
+    ("dtype", "shape", "kind", "white"),
+    [
+        ("u1", (9, 12), "grey", 255),
+        ("<u2", (9, 12), "grey", 65535),
+        (">u2", (9, 12), "grey", 65535),
+        ("<f4", (9, 12, 1), "float", 1),
+        (">f8", (9, 12), "float", 1),
+    ],
+)
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_an_array_of_numpy_is_an_image(tmp_path, dtype, shape, kind, white, order):
+    numbers = np.asarray(np.arange(9 * 12).reshape(shape), dtype, order)
+    np.save(tmp_path / "a.npy", numbers)
+    assert probe(tmp_path / "a.npy") == ImageInfo(12, 9, kind)
+    values, valid, found = decode(tmp_path / "a.npy")
+    np.testing.assert_array_equal(values, numbers.reshape(9, 12, 1).astype(np.float32) / white)
+    assert (valid, found) == (None, kind)
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.zeros((4, 9, 12)), r"an array \[4, 9, 12\] of float64"),
+        (np.zeros((40, 7)), r"\[40, 7\]"),
+        (np.zeros((9, 12), bool), "of bool"),
+        (np.zeros((9, 12), np.int16), "pixels of type I"),
+        (np.full((9, 12), None), "allow_pickle"),
+    ],
+)
+def test_arrays_that_are_no_image(tmp_path, array, message):
+    np.save(tmp_path / "a.npy", array, allow_pickle=True)
+    with pytest.raises(SceneError, match=rf"a\.npy.*{message}"):
+        decode(tmp_path / "a.npy")
+
+
+def test_an_array_that_is_cut_off_or_claims_too_much(tmp_path, monkeypatch):
+    np.save(tmp_path / "a.npy", np.zeros((90, 120)))
+    whole = (tmp_path / "a.npy").read_bytes()
+    for damaged in (whole[:-7], whole[:9], whole.replace(b"(90, 120)", b"(9000000000, 1200000)")):
+        (tmp_path / "a.npy").write_bytes(damaged)
+        with pytest.raises(SceneError, match=r"a\.npy: cannot be decoded"):
+            decode(tmp_path / "a.npy")
+    (tmp_path / "a.npy").write_bytes(whole)
+    monkeypatch.setenv("MRGS_MAX_MEGAPIXELS", "0.01")
+    with pytest.raises(SceneError, match=r"more than 0\.01 megapixels"):
+        decode(tmp_path / "a.npy")
 
 
 @pytest.mark.parametrize("mode", ["RGB", "P", "CMYK"])

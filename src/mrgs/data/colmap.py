@@ -44,7 +44,8 @@ from mrgs.system.wording import Message, shown
 Row = TypeVar("Row")
 
 MODEL_FOLDERS = (
-    "sparse/0", "sparse/1", "colmap/sparse/0", "sparse", "colmap/sparse", "colmap",
+    "sparse/0", "sparse/1", "colmap/sparse/0", "colmap_sparse/0", "sparse", "colmap/sparse",
+    "colmap",
 )  # fmt: skip
 
 _PARAMETER_COUNTS = {
@@ -284,10 +285,14 @@ def _text_point(line: str) -> tuple[float, ...]:
 
 FOLDERS = {
     RGB: ("rgb", "images"),
-    THERMAL: ("thermal", "infrared", "ir", "tir", "lwir", "thermal_images", "images_thermal"),
-}
-"""Possible folders of each modality's images; the first that exists is used, of the further thermal
-ones only if they have names of the RGB images."""
+    THERMAL: (
+        "warped_thermal", "thermal", "infrared", "ir", "tir", "lwir", "thermal_images",
+        "images_thermal",
+    ),
+}  # fmt: skip
+"""Possible folders of each modality's images; the first that exists is used, of other thermal ones
+than ``thermal`` only if they have names of the RGB images. ThermalMix's ``warped_thermal`` holds
+images as the RGB camera sees them."""
 
 _THERMAL_WORD, _WORD = (
     re.compile(rf"(?i)(?<![a-z])(?:{'|'.join(names)})(?![a-z])[_\-. /]*")
@@ -371,7 +376,7 @@ def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list
         there = [on_disk(root, name) for name in names]
         name = next((name for name in there if (root / name).is_dir()), "")
         files = finder.tree(root / name) if name else {}
-        is_usual = modality == RGB or name.lower() == names[0] or not images
+        is_usual = modality == RGB or name.lower() == "thermal" or not images
         if files and (is_usual or files.keys() & images[0].files.keys()):
             images.append(_Images(modality, name, files, {key: key for key in files}))
     if [each.modality for each in images] != [RGB]:

@@ -18,7 +18,7 @@ from mrgs.errors import scene_error
 from mrgs.system.disk import read_regular
 from mrgs.system.wording import shown
 
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".npy"})
 MAX_FILE_BYTES = 4 * 2**30
 MAX_JSON_BYTES = 256 * 2**20
 MAX_TABLE_BYTES = 16 * 2**20
@@ -161,7 +161,7 @@ class _Listing:
     by_stem: Mapping[str, list[str]]
 
 
-_FORMATS = (".tiff", ".tif", ".png", ".jpg", ".jpeg")
+_FORMATS = (".tiff", ".tif", ".npy", ".png", ".jpg", ".jpeg")
 """Formats of images in order of preference, if several have one name: a JPEG is often a preview."""
 
 

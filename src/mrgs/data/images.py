@@ -1,5 +1,5 @@
-"""Decoding image files. Pillow reads them; only PNG, JPEG and TIFF are let in, and none with more
-pixels than its bytes can hold.
+"""Decoding image files. Pillow reads them; only PNG, JPEG and TIFF are let in, and arrays of NumPy,
+and none with more pixels than its bytes can hold.
 
 The EXIF orientation is ignored on purpose: structure-from-motion tools work on the pixels as
 stored. What the tags of GDAL say of the numbers of a TIFF counts: the value of missing pixels, the
@@ -58,7 +58,11 @@ made smaller from there or from all of its pixels, it differs by less than an 8-
 
 Kind = Literal["grey", "colour", "float"]
 """One channel of integers, three channels of integers, or one channel of numbers: a TIFF of floats,
-or of integers with a scale."""
+or of integers with a scale; an array."""
+
+NPY_SIGNATURE = b"\x93NUMPY"
+_LEAST_SIDE = 8
+"""Arrays with fewer rows or columns are no images."""
 
 _GDAL_METADATA, _GDAL_NODATA = 42112, 42113
 _GDAL_ITEM = re.compile(r"<Item\b([^<>]*)>([^<]*)<")
@@ -318,7 +322,13 @@ def opened(
                     if _is_misread(image):
                         image = _opened_by_gdal(file, path, most_pixels, image.mode == "I")
                 except UnidentifiedImageError:
-                    image = _opened_by_gdal(file, path, most_pixels, False)
+                    file.seek(0)
+                    is_array = file.read(len(NPY_SIGNATURE)) == NPY_SIGNATURE
+                    image = (
+                        _opened_array(file, path)
+                        if is_array
+                        else _opened_by_gdal(file, path, most_pixels, False)
+                    )
             with image:
                 if image.width * image.height > most_pixels:
                     raise scene_error(path, too_large)
@@ -356,6 +366,28 @@ def _most_pixels(size: int) -> int:
         raise ConfigError(f"{LIMIT_VARIABLE}={quoted(stated)} is not a number of megapixels")
     Image.MAX_IMAGE_PIXELS = max(most, Image.MAX_IMAGE_PIXELS or 0)  # Pillow refuses twice as many
     return most
+
+
+def _opened_array(file: BinaryIO, path: Path) -> Image.Image:
+    """A file of NumPy's: integers of 8 and 16 bits without a sign as they are, others of 32 bits,
+    and 32-bit floats."""
+    file.seek(0)
+    array = np.load(file)
+    values = array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array
+    is_image = values.ndim == 2 and min(values.shape) >= _LEAST_SIDE and values.dtype.kind in "fiu"
+    if not is_image:
+        raise scene_error(
+            path,
+            f"holds an array {[*array.shape]} of {array.dtype}; save the numbers of one image, "
+            f"[height, width]",
+        )
+    kind = np.dtype(np.float32) if values.dtype.kind == "f" else np.dtype(np.int32)
+    if values.dtype.kind == "u" and values.dtype.itemsize <= 2:
+        kind = values.dtype.newbyteorder("=")
+    with np.errstate(over="ignore"):
+        image = Image.fromarray(np.ascontiguousarray(values, dtype=kind))
+    image.format = "NPY"
+    return image
 
 
 def _opened_by_gdal(

@@ -9,13 +9,14 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from mrgs.data.colmap import MODEL_FOLDERS, largest_model, read_colmap
@@ -106,7 +107,7 @@ def _recognise(path: Path) -> SceneSource:
 def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int) -> Scene:
     notes = source.notes
     thermal_kinds = _checked_thermal_files(source)
-    unit = CELSIUS
+    numbers = Numbers()
     splits = assign_splits([view.key for view in source.views], source.lists, notes)
     if "train" not in splits:
         raise scene_error(
@@ -117,16 +118,16 @@ def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int
         temperature = read_bounds(source.root, notes)
         kind = check_kinds(thermal_kinds, temperature is not None, notes)
         if kind == "float":
-            unit = _unit_of(source, temperature)
-        if kind == "float" and temperature is None:
-            temperature = _measured_range(source, splits, unit)
+            numbers = _meaning_of(source, temperature)
+        if kind == "float" and temperature is None and numbers.unit is not None:
+            temperature = _measured_range(source, splits, numbers)
 
     decoders: dict[Modality, Decoder] = {
         modality: partial(decode_intensities, channels=modality.channels)
         for view in source.views
         for modality in view.images
     }
-    decoders[THERMAL] = partial(decode_thermal, temperature=temperature, unit=unit)
+    decoders[THERMAL] = partial(decode_thermal, temperature=temperature, numbers=numbers)
     by_split: dict[Split, list[View]] = {"train": [], "eval": [], "unused": []}
     names = _unique_names([view.key for view in source.views])
     for name, view, split in zip(names, source.views, splits, strict=True):
@@ -166,31 +167,69 @@ def _checked_thermal_files(source: SceneSource) -> list[tuple[Path, Kind]]:
     return thermal_kinds
 
 
-def _unit_of(source: SceneSource, temperature: TemperatureRange | None) -> Unit:
-    """The unit of the numbers in the thermal images: °C, unless they are everyday temperatures in K
-    only, or only K are near the scene's bounds. Images that ``prepare`` has written hold °C."""
+@dataclass(frozen=True)
+class Numbers:
+    """What the numbers in float images mean.
+
+    Attributes:
+        unit: None for values from 0 to 1 of which nothing else is known.
+        without_zeros: pixels of exactly 0 are missing, as where an image was warped or undistorted.
+    """
+
+    unit: Unit | None = CELSIUS
+    without_zeros: bool = False
+
+
+def _meaning_of(source: SceneSource, temperature: TemperatureRange | None) -> Numbers:
+    """What the numbers in the thermal images mean. Those that ``prepare`` has written are °C."""
     images = [view.images[THERMAL] for view in source.views if THERMAL in view.images]
     if any(image.record is not None for image in images):
-        return CELSIUS
+        return Numbers()
     some = [decode(images[at].path) for at in evenly_spaced(len(images))]
-    rows = [typical(each.values[..., 0].numpy()) for each in some if each.kind == "float"]
-    known = [row for row in rows if np.isfinite(row).all()]
-    numbers = np.median(known or np.full((1, 3), np.nan), axis=0)
+    arrays = [each.values[..., 0].numpy() for each in some if each.kind == "float"]
+    usual = [typical(array) for array in arrays]
+    known = [row for row in usual if np.isfinite(row).all()]
+    low, _, high = middle = np.median(known or np.full((1, 3), np.nan), axis=0)
+    without_zeros = bool(low > (high - low) / 4) and any((array == 0).any() for array in arrays)
+    if without_zeros:
+        source.notes.repair("Pixels of exactly 0 in the thermal images are taken for missing ones.")
+    if bool(low >= 0 and high <= 1) and (temperature is None or temperature.span_c > 3):
+        return Numbers(_unit_of_shares(source.notes, temperature), without_zeros)
+    return Numbers(_unit_of(source.notes, temperature, known, middle), without_zeros)
+
+
+def _unit_of_shares(notes: ReadingNotes, temperature: TemperatureRange | None) -> Unit | None:
+    """The unit of numbers from 0 to 1; None without bounds."""
+    what = "The thermal images hold numbers from 0 to 1, which are taken for"
+    if temperature is None:
+        notes.repair(f"{what} relative values without °C.")
+        return None
+    scale = "shares of the scale in temperature_bounds.json"
+    notes.repair(f"{what} {scale}; if they are °C, correct the bounds.")
+    return Unit("celsius", 1 / temperature.span_c, -temperature.min_c / temperature.span_c)
+
+
+def _unit_of(
+    notes: ReadingNotes,
+    temperature: TemperatureRange | None,
+    known: Sequence[Float[np.ndarray, "3"]],
+    numbers: Float[np.ndarray, "3"],
+) -> Unit:
+    """The unit of temperatures: °C, unless they are everyday temperatures in K only, or only K are
+    near the scene's bounds.
+
+    Args:
+        known: the ``typical`` numbers of some images.
+        numbers: their medians.
+    """
     likely = everyday(FLOAT_UNITS, numbers)
     if {("kelvin",), ("celsius",)} <= {tuple(everyday(FLOAT_UNITS, row)) for row in known}:
-        source.notes.repair(
-            "Some thermal images look like °C and some like K; write all of them in °C."
-        )
+        notes.repair("Some thermal images look like °C and some like K; write all of them in °C.")
     if temperature is not None:
-        if known and numbers[0] >= 0 and numbers[2] <= 1 and temperature.span_c > 3:
-            source.notes.repair(
-                "The thermal images hold numbers from 0 to 1, which are taken for °C; if they are "
-                "shares of the scale in temperature_bounds.json, save them with 16 bits."
-            )
         middles = {text: Unit.parse(text).celsius(numbers)[1] for text in FLOAT_UNITS}
         near = [text for text, c in middles.items() if -1 <= temperature.from_celsius(c) <= 2]
         if "celsius" in near and likely == ["kelvin"]:
-            source.notes.repair(
+            notes.repair(
                 "The thermal images are taken for °C, as temperature_bounds.json says, though they "
                 "look like K; if they are K, write the bounds in °C."
             )
@@ -198,14 +237,16 @@ def _unit_of(source: SceneSource, temperature: TemperatureRange | None) -> Unit:
     if likely != ["kelvin"]:
         return CELSIUS
     low, _, high = (f"{value:.1f}".replace("-", "−") for value in Unit("kelvin").celsius(numbers))
-    source.notes.repair(
+    notes.repair(
         f"The numbers of the thermal images are taken for K, which gives {low} °C to {high} °C; if "
         f"they are °C, add temperature_bounds.json with their range."
     )
     return Unit("kelvin")
 
 
-def _measured_range(source: SceneSource, splits: Sequence[Split], unit: Unit) -> TemperatureRange:
+def _measured_range(
+    source: SceneSource, splits: Sequence[Split], numbers: Numbers
+) -> TemperatureRange:
     """The range of the training images, which hold temperatures."""
     pairs = zip(source.views, splits, strict=True)
     paths = [
@@ -217,7 +258,7 @@ def _measured_range(source: SceneSource, splits: Sequence[Split], unit: Unit) ->
         raise scene_error(
             source.file, "no training view has a thermal image; add temperature_bounds.json"
         )
-    temperature = bounds_of_images(paths, unit)
+    temperature = bounds_of_images(paths, numbers)
     source.notes.decide(
         Message(
             "There is no temperature_bounds.json: the training images' range is used, {low} °C to "
@@ -337,12 +378,12 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         raise scene_error(path, f"{error}; correct the temperatures") from None
 
 
-def bounds_of_images(paths: Sequence[Path], unit: Unit = CELSIUS) -> TemperatureRange:
+def bounds_of_images(paths: Sequence[Path], numbers: Numbers | None = None) -> TemperatureRange:
     """The range of the temperatures in float images, °C, rounded outwards to whole degrees.
     SceneError if an image cannot be decoded, or has no temperature."""
     low, high = math.inf, -math.inf
     for path in paths:
-        celsius, valid = _celsius(decode(path), unit)
+        celsius, valid = _celsius(decode(path), numbers or Numbers())
         if not valid.any():
             raise scene_error(path, "holds no plausible temperature; replace the file")
         low, high = min(low, float(celsius[valid].min())), max(high, float(celsius[valid].max()))
@@ -350,11 +391,15 @@ def bounds_of_images(paths: Sequence[Path], unit: Unit = CELSIUS) -> Temperature
 
 
 def _celsius(
-    image: Decoded, unit: Unit
+    image: Decoded, numbers: Numbers
 ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """The °C of a float image, as of a thermal photo: NaN where no temperature is plausible."""
+    """The °C of a float image, or its relative values, as of a thermal photo: NaN where no
+    temperature is plausible."""
+    values = image.values[..., 0].numpy().astype(np.float64)
     usable = None if image.valid is None else image.valid.numpy()
-    return masked(unit.celsius(image.values[..., 0].numpy().astype(np.float64)), usable)
+    if numbers.without_zeros:
+        usable = (values != 0) if usable is None else (values != 0) & usable
+    return masked(values if numbers.unit is None else numbers.unit.celsius(values), usable)
 
 
 def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: ReadingNotes) -> Kind:
@@ -384,22 +429,28 @@ def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: Rea
 
 
 def decode_thermal(
-    path: Path, least_width: int | None, temperature: TemperatureRange | None, unit: Unit = CELSIUS
+    path: Path,
+    least_width: int | None,
+    temperature: TemperatureRange | None,
+    numbers: Numbers | None = None,
 ) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
     """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
-    Integers span the range already; a float image's, in ``unit``, are mapped by ``temperature`` and
-    not clamped. They are decoded whole whatever ``least_width`` is. SceneError if the file cannot
-    be decoded, or has temperatures where no range is known."""
+    Integers span the range already; a float image's are mapped by ``temperature`` and not clamped,
+    unless they are relative, without a unit. They are decoded whole whatever ``least_width`` is.
+    SceneError if the file cannot be decoded, or has temperatures where no range is known."""
     image = decode(path)
     values, valid, kind = image
     if kind == "colour":
         return with_channels(values, 1), valid
     if kind == "float":
-        if temperature is None:
-            raise scene_error(
-                path, "holds °C, but the range is not known; add temperature_bounds.json"
-            )
-        celsius, known = _celsius(image, unit)
-        mapped = temperature.from_celsius(torch.from_numpy(np.where(known, celsius, np.float32(0))))
+        numbers = numbers or Numbers()
+        celsius, known = _celsius(image, numbers)
+        mapped = torch.from_numpy(np.where(known, celsius, np.float32(0)))
+        if numbers.unit is not None:
+            if temperature is None:
+                raise scene_error(
+                    path, "holds °C, but the range is not known; add temperature_bounds.json"
+                )
+            mapped = temperature.from_celsius(mapped)
         return mapped[..., None], None if known.all() else torch.from_numpy(known)
     return values, valid

@@ -26,6 +26,27 @@ def test_sixteen_bits_whose_unit_is_plain(save, name, unit, counts):
 
 
 @pytest.mark.parametrize(
+    ("unit", "numbers"),
+    [
+        ("celsius", SCENE_C),
+        ("kelvin", SCENE_C.astype(np.float64) + 273.15),
+        ("celsius*100", np.rint(100 * SCENE_C).astype(np.int16)),
+        ("kelvin*100", np.rint(100 * (SCENE_C + 273.15)).astype(np.uint16)),
+    ],
+)
+def test_arrays_of_numpy(tmp_path, unit, numbers):
+    np.save(tmp_path / "a.npy", numbers)
+    photo = read_thermal_photo(tmp_path / "a.npy")
+    np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=0.0051)
+    said = [*photo.facts.notes, *photo.facts.warnings]
+    assert any(
+        unit.partition("*")[0].replace("kelvin", "K").replace("celsius", "°C") in text
+        or unit in text
+        for text in said
+    )
+
+
+@pytest.mark.parametrize(
     ("unit", "counts"),
     [
         ("kelvin*10", 10 * (SCENE_C + 273.15)),

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import os
 import random
 import struct
@@ -404,6 +405,20 @@ def test_a_list_of_positions_is_no_photo(photos, head):
 def test_control_points_are_no_photo(photos):
     root = photos({"thermal/a.png": "png", "gcp.csv": b"Name,X,Y,Z\nP1,3.5,4.5,0.1\n"})
     assert files(root, find_pairs(root)) == [(None, "thermal/a.png")]
+
+
+def test_arrays_are_thermal_photos_and_other_arrays_are_left_out(photos):
+    def npy(array: np.ndarray) -> bytes:
+        np.save(file := io.BytesIO(), array)
+        return file.getvalue()
+
+    celsius = np.linspace(5, 30, 9 * 12, dtype=np.float32).reshape(9, 12)
+    content = {f"rgb/{i}.jpg": "jpg" for i in range(3)}
+    content |= {f"thermal/{i}.npy": npy(celsius) for i in range(3)}
+    root = photos(content | {"poses.npy": npy(np.zeros((3, 4, 4)))})
+    found = find_pairs(root, PrepareOptions())
+    assert files(root, found) == [(f"rgb/{i}.jpg", f"thermal/{i}.npy") for i in range(3)]
+    assert_left_out(found, {"poses.npy": "[3, 4, 4]"})
 
 
 def test_previews_of_other_names_are_no_rgb_photos(photos):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from mrgs.data.files import read_bytes
-from mrgs.data.images import TIFF_SIGNATURES
+from mrgs.data.images import NPY_SIGNATURE, TIFF_SIGNATURES
 from mrgs.data.radiometric.dji import read_bare_numbers, read_r_jpeg
 from mrgs.data.radiometric.exif import JPEG_SIGNATURE, flir_record, holds_dji_signal
 from mrgs.data.radiometric.flir import FFF_SIGNATURES, read_flir
@@ -19,7 +19,7 @@ from mrgs.errors import scene_error
 
 MAX_BYTES = 256 * 2**20
 
-_RASTERS = (JPEG_SIGNATURE, b"\x89PNG\r\n\x1a\n", *TIFF_SIGNATURES)
+_RASTERS = (JPEG_SIGNATURE, b"\x89PNG\r\n\x1a\n", *TIFF_SIGNATURES, NPY_SIGNATURE)
 _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
 
 Kind = Literal["signal", "numbers", "table", "image"]
@@ -106,7 +106,8 @@ def read_thermal_photo(path: str | Path, overrides: Overrides | None = None) -> 
 
     Args:
         path: a FLIR radiometric JPEG or FFF file; a DJI R-JPEG; a TIFF, PNG or JPEG image; a table
-            (``.csv``, ``.txt``, ``.tsv``); or the bare numbers of DJI's tool (``.raw``).
+            (``.csv``, ``.txt``, ``.tsv``); an array (``.npy``); or the bare numbers of DJI's tool
+            (``.raw``).
         overrides: what the user knows better than the file.
     """
     path, overrides = Path(path), overrides or Overrides()
@@ -117,7 +118,8 @@ def read_thermal_photo(path: str | Path, overrides: Overrides | None = None) -> 
     if reader is None:
         raise scene_error(
             path,
-            "is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables (.csv)",
+            "is not an image; thermal photos are JPEG, PNG, TIFF, FFF or NPY files, or tables "
+            "(.csv)",
         )
     photo = reader.read(data, path, overrides)
     parameters = [name for name in overrides.of_parameters() if name not in photo.facts.given]
