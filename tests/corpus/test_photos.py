@@ -92,6 +92,7 @@ def test_decimals_in_some_of_the_numbers_only_are_refused(tmp_path):
         ("X_pixel,Y_pixel,value", False),
         ("pixel_x,pixel_y,Temperature_C", False),
         ("i,j,T", True),
+        ("x,y,temp (c)", True),  # by FlirImageExtractor
         ("Spalte,Zeile,Wert", False),
         ("# xpos,ypos,t", False),
     ],

@@ -38,6 +38,9 @@ _HEADINGS = re.compile(r"(y|v|i|rows?|lines?|zeile)|(x|u|j|col\w*|spalte)|([tcfk
 _NO_HEADING = re.compile(r"[\[(/].*|pixel|px|pos(?:ition)?|coord\w*|index|[\W\d_]")
 """Headings of a pixel's row, its column and its temperature, and what may be beside them."""
 
+_OF_EXTRACTOR = ["x", "y", "temp (c)"]
+"""Headings by FlirImageExtractor, whose x is the row."""
+
 
 def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     """The photo in a table of numbers: the largest block of lines with equally many cells, most of
@@ -187,6 +190,8 @@ def columns_of(line: str, width: int) -> list[int]:
     of unknown name is the temperature. Empty if the line does not say."""
     separator = next((each for each in _SEPARATORS if each in line), ",")
     cells = _cells(line.strip("# "), separator)[-width:]
+    if [cell.casefold() for cell in cells] == _OF_EXTRACTOR:
+        return [0, 1, 2]
     found = [_HEADINGS.fullmatch(_NO_HEADING.sub("", cell.casefold())) for cell in cells]
     kinds = [match.lastindex if match else 0 for match in found]
     if 3 not in kinds and kinds.count(0) == 1:
