@@ -421,6 +421,40 @@ def test_arrays_are_thermal_photos_and_other_arrays_are_left_out(photos):
     assert_left_out(found, {"poses.npy": "[3, 4, 4]"})
 
 
+EXTRACTS = {"{}_rgb_image.jpg": "jpg", "{}_thermal.png": "png", "{}_thermal_values.csv": TABLE}
+
+
+@pytest.mark.parametrize(
+    ("originals", "thermal", "skipped"),
+    [
+        ({}, "{}_thermal_values.csv", ["{}_thermal.png"]),
+        ({"{}.jpg": "flir"}, "{}.jpg", ["{}_thermal.png", "{}_thermal_values.csv"]),
+        (
+            {"{}.jpg": "flir with visible"},
+            "{}.jpg",
+            ["{}_thermal.png", "{}_thermal_values.csv"],
+        ),
+    ],
+)
+def test_what_flirimageextractor_writes(photos, originals, thermal, skipped):
+    stems = [f"IR_{number:04d}" for number in range(4)]
+    content = EXTRACTS | originals
+    root = photos({name.format(stem): what for stem in stems for name, what in content.items()})
+    found = find_pairs(root)
+    assert files(root, found) == [(f"{s}_rgb_image.jpg", thermal.format(s)) for s in stems]
+    assert_left_out(found, {name.format(s): "used instead" for s in stems for name in skipped})
+
+
+def test_what_flirpy_writes(photos):
+    """The camera's records, radiometric TIFFs, previews of these, and RGB photos."""
+    record, stems = FlirPhoto().record(), [f"frame_{number:06d}" for number in range(3)]
+    kinds = {"raw/{}.fff": record, "radiometric/{}.tiff": "celsius"}
+    kinds |= {"preview/{}.jpg": "jpg", "rgb/{}.jpg": ("jpg", {"size": (24, 20)})}
+    root = photos({name.format(stem): what for stem in stems for name, what in kinds.items()})
+    found = find_pairs(root)
+    assert files(root, found) == [(f"rgb/{s}.jpg", f"radiometric/{s}.tiff") for s in stems]
+
+
 def test_previews_of_other_names_are_no_rgb_photos(photos):
     content = {"thermal/1.tif": "celsius", "thermal/1_preview.jpg": "jpg"}
     root = photos(content | {"thermal/2.tif": "celsius", "thermal/2_preview.jpg": "jpg"})

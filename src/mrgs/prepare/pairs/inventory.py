@@ -25,7 +25,7 @@ from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.data.radiometric.table import columns_of, numbers_in
 from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import Progress, Skipped
-from mrgs.prepare.pairs.photo import Photo, folder_modality, natural, told_apart
+from mrgs.prepare.pairs.photo import PREVIEW_FOLDERS, Photo, folder_modality, natural, told_apart
 from mrgs.scene import Modality
 from mrgs.system.disk import open_regular
 
@@ -269,7 +269,7 @@ def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]
     Files of one stem in one folder are the same photo, and so are one that only the maker's tool
     reads and the one file of that stem elsewhere that it was converted to. Where there are RGB
     photos besides, an image that is thermal by its folder or name is the preview of the numbers
-    beside it.
+    beside it, and one in a folder of previews that of those anywhere.
     """
     has_rgb = not all(photo.is_reference for photo in photos)
     by_stem: dict[str, list[Photo]] = {}
@@ -279,11 +279,17 @@ def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]
     for group in by_stem.values():
         finished = [photo for photo in group if photo.kind in ("numbers", "table")]
         for photo in group:
+            folder = photo.path.parent
             beside = [
                 other
                 for other in group
-                if other.path.parent == photo.path.parent
-                and all(one.is_reference if has_rgb else one.is_thermal for one in (photo, other))
+                if (folder.name.lower() in PREVIEW_FOLDERS and other.is_thermal)
+                or (
+                    other.path.parent == folder
+                    and all(
+                        one.is_reference if has_rgb else one.is_thermal for one in (photo, other)
+                    )
+                )
             ]
             best[photo] = min([photo, *beside], key=lambda one: one.preference)
             if best[photo].needs_tool and len(finished) == 1:

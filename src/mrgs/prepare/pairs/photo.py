@@ -32,6 +32,12 @@ _WORDS = {THERMAL: _THERMAL_WORDS, RGB: _RGB_WORDS}
 _PHOTO_WORDS = {"image", "images", "photo", "photos"}
 """Folders with these names hold RGB photos, unless something else in the name says thermal."""
 
+_FILLERS = {"image", "img", "photo", "picture", "thumb", "thumbnail", "value", "values", "data"}
+"""Words that may follow a camera suffix at the end of a name: ``IR_0001_rgb_image``."""
+
+PREVIEW_FOLDERS = {"preview", "previews", "thumb", "thumbs", "thumbnail", "thumbnails"}
+"""Images there are previews of the thermal photos of their names."""
+
 HEADINGS = {
     RGB: {"rgb", "visible", "vis", "visual", "optical", "color", "colour", "image"},
     THERMAL: {"thermal", "ir", "tir", "infrared"},
@@ -134,9 +140,11 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
         if modality is not None:
             # IR0001_visible belongs to IR0001, 0001_ir_celsius to 0001_rgb, and Autel's
             # MAX_0001_IR to MAX_0001.
+            fillers = {part.lower() for part in parts[index + 1 :]}
             rest = [
                 number if at == index or word.lower() in {*_THERMAL_WORDS, "max"} else parts[at]
                 for at, (word, number) in enumerate(named)
+                if at <= index or not fillers <= _FILLERS
             ]
             return StemFacts("_".join(filter(None, rest)), modality, mark)
     return StemFacts(stem)
@@ -201,9 +209,11 @@ def candidate_by_name(photo: Photo, folders: Sequence[str] | None = None) -> Can
 
 
 def candidate_by_folder(photo: Photo) -> Candidate:
-    """Modality by content and folder; the folder named after a modality is not part of the key."""
+    """Modality by content and folder, else as ``told_apart``; the folder named after a modality is
+    not part of the key."""
     named, folders = folder_modality(photo.origin.parts[:-1])
-    modality = REFERENCE if photo.is_thermal else named
+    is_reference = photo.is_thermal or (named is None and photo.is_reference)
+    modality = REFERENCE if is_reference else named
     return candidate_by_name(photo, folders)._replace(modality=modality)
 
 
