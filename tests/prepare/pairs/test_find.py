@@ -455,6 +455,30 @@ def test_what_flirpy_writes(photos):
     assert files(root, found) == [(f"rgb/{s}.jpg", f"radiometric/{s}.tiff") for s in stems]
 
 
+@pytest.mark.parametrize("form", ["{:.6f}", "frame_{:.3f}", "{:.0f}"])
+def test_names_in_seconds_since_1970_are_times(photos, form):
+    """Of a robot's two cameras, at 4 and 3 images a second."""
+    scale = {"{:.0f}": 1e9}.get(form, 1.0)
+    start = 1_700_000_000.123
+
+    def name(seconds: float) -> str:
+        return form.format((start + seconds) * scale)
+
+    rgb = [f"rgb/{name(number / 4)}.png" for number in range(12)]
+    thermal = [f"thermal/{name(number / 3 + 0.01)}.png" for number in range(9)]
+    root = photos(dict.fromkeys(rgb + thermal, "png"))
+    found = find_pairs(root)
+    nearest = [round((number / 3 + 0.01) * 4) for number in range(9)]
+    assert files(root, found) == [(rgb[at], one) for at, one in zip(nearest, thermal, strict=True)]
+    assert "within" in found.rule
+
+
+def test_numbers_that_cannot_be_seconds_are_no_times(photos):
+    names = ["1000012345", "20230101120000", "1234567890", "17000000001"]
+    root = photos({f"{folder}/{name}.png": "png" for name in names for folder in ("rgb", "ir")})
+    assert [photo.exif.taken for photo in take_inventory(root).photos] == [None] * 8
+
+
 def test_previews_of_other_names_are_no_rgb_photos(photos):
     content = {"thermal/1.tif": "celsius", "thermal/1_preview.jpg": "jpg"}
     root = photos(content | {"thermal/2.tif": "celsius", "thermal/2_preview.jpg": "jpg"})

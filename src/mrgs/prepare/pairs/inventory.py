@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
@@ -41,6 +42,9 @@ _COPY = re.compile(r"[ _-]*(?:\(\d+\)|copy(?: ?\d+)?|kopie|copie)$")
 _LOG = re.compile(r"(?i)^\D*\blat(?:itude)?\b\D*\b(?:lon|lng|long|longitude)\b\D*$")
 """The headings of a flight log or of geotags."""
 
+_EPOCH = re.compile(r"(?:.*\D)?(1[3-9]\d{8})(?:\D?(\d{3,9}))?")
+"""Seconds since 1970 at the end of a name, from 2011 on, as recordings of robots write them."""
+
 _UNSUPPORTED = {
     ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".gpr", ".cr2", ".cr3", ".nef",
     ".nrw", ".arw", ".raf", ".orf", ".rw2", ".rwl", ".pef", ".srw", ".sr2", ".3fr", ".iiq", ".erf",
@@ -73,6 +77,10 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         photo = _PHOTOS[reader.kind](path, origin, data)
         if isinstance(photo, str):
             return photo
+        if photo.exif.taken is None and (stamp := _EPOCH.fullmatch(origin.name)):
+            moment = float(stamp[1]) + float(f"0.{stamp[2] or 0}")
+            taken = datetime.fromtimestamp(moment, timezone.utc).replace(tzinfo=None)
+            photo = replace(photo, exif=replace(photo.exif, taken=taken, zone_s=0.0))
         name = printable(relative.as_posix())
         return replace(photo, needs_tool=reader.needs_tool, name=name)
     except SceneError as error:
