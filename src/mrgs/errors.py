@@ -75,8 +75,7 @@ class DamagedCheckpointError(RunError):
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(
-            f"{path} is not a whole checkpoint ({reason}): restore it from a copy, or use an older "
-            f"one"
+            f"{path} is not a whole checkpoint ({reason}): restore a copy, or use an older one"
         )
         self.path = path
         self.reason = reason

@@ -20,7 +20,7 @@ from filelock import FileLock
 from PIL import Image
 from safetensors.torch import save_file
 
-from mrgs.app import commands, progress, terminal
+from mrgs.app import cli, commands, progress, terminal
 from mrgs.app.cli import how_to_read, main
 from mrgs.training import StepStatistics
 from mrgs_compare.table import Cell, Group, Row, Table
@@ -787,6 +787,19 @@ def test_a_transforms_file_names_the_scene_too(tmp_path, monkeypatch):
     assert (
         json.loads(Path("runs/scene-mrgs-plus/eval/metrics.json").read_text())["scene"] == "scene"
     )
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 4 GiB"), "GPU's"),
+        (RuntimeError("CUBLAS_STATUS_ALLOC_FAILED when calling"), "GPU's"),
+        (RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory"), "the system"),
+        (MemoryError(), "the system"),
+    ],
+)
+def test_a_lack_of_memory_is_one_line(error, message):
+    assert message in cli._line(error)
 
 
 def test_progress_is_plain_lines_where_there_is_no_terminal(small_scene, tmp_path, capsys):

@@ -5,6 +5,7 @@ import math
 import re
 import shutil
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -375,6 +376,16 @@ def test_a_joined_run_counts_what_all_its_parts_took(joined):
     facts = load_run(joined).facts
     assert facts.train_seconds == pytest.approx(sum(each.train_seconds for each in parts))
     assert facts.peak_memory_bytes == max(each.peak_memory_bytes for each in parts)
+
+
+def test_a_coarse_model_that_shows_nothing_is_said(joined, scene):
+    done, options = training(joined, scene), BlockOptions("1x2", None)
+    model = deepcopy(done.coarse.model)
+    with torch.no_grad():
+        for logits in model.gaussians.opacity_logits.values():
+            logits.fill_(-10.0)
+    with pytest.raises(ConfigError, match="show no surface of the coarse model"):
+        make_plan(model, done.scene, {}, options, lambda line: None)
 
 
 def test_an_overlap_that_does_not_fit_is_refused(scene, tmp_path):

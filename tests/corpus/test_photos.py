@@ -73,6 +73,32 @@ def test_whole_degrees_between_commas_stay_whole(tmp_path):
     np.testing.assert_array_equal(read(tmp_path, text), whole)
 
 
+@pytest.mark.parametrize("digits", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("label", ["", "1.5,"])
+def test_whole_numbers_among_those_with_a_point_stay_whole(tmp_path, digits, seed, label):
+    """As R, Excel and many programs write: without zeros at the end."""
+    steps = np.random.default_rng(seed).normal(0, 0.05, (120, 160)).cumsum(axis=1)
+    celsius = np.round(20 + steps, digits)
+    text = "".join(label + ",".join(f"{each:g}" for each in row) + "\n" for row in celsius)
+    found = read(tmp_path, text)
+    np.testing.assert_allclose(found[:, -160:], celsius, atol=1e-5)
+
+
+@pytest.mark.parametrize(("frames", "pixels"), [(1, 768), (30, 768), (5, 80)])
+def test_frames_in_lines_are_no_picture(tmp_path, frames, pixels):
+    lines = (",".join(f"{20 + i / 50:.2f}" for i in range(pixels)) + "\n" for _ in range(frames))
+    with pytest.raises(SceneError, match="a file for each frame"):
+        read(tmp_path, "".join(lines))
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".dat"])
+def test_other_suffixes_of_tables(tmp_path, suffix):
+    (tmp_path / f"a{suffix}").write_text(numbers(TABLE_C, "\t", ","))
+    photo = read_thermal_photo(tmp_path / f"a{suffix}")
+    np.testing.assert_allclose(photo.temperature_c, TABLE_C, atol=1e-5)
+
+
 def test_decimals_in_some_of_the_numbers_only_are_refused(tmp_path):
     text = numbers(TABLE_C, ",", ",").replace(",0,", ",")
     with pytest.raises(SceneError, match="no table"):

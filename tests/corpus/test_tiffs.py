@@ -263,6 +263,20 @@ def test_zeros_around_a_warped_image_are_missing(tmp_path):
     assert any("exactly 0" in text for text in said)
 
 
+def test_zeros_around_a_warped_photo_are_missing(tmp_path):
+    warped = SCENE_C + np.float32(10)
+    warped[:3] = 0
+    photo = read_thermal_photo(write_tiff(tmp_path / "a.tif", warped))
+    assert not photo.valid[:3].any()
+    assert photo.valid[3:].all()
+    assert any("exactly 0" in note for note in photo.facts.notes)
+
+
+def test_shades_as_floats_are_doubted(tmp_path):
+    _, _, said = ThermalScene(tmp_path, 8 * SCENE_C).loaded()
+    assert any("(42 to 238) are taken for °C" in text for text in said)
+
+
 def test_zeros_near_other_temperatures_are_temperatures(tmp_path):
     near = SCENE_C - np.float32(5)
     assert (near == 0).any()

@@ -508,6 +508,38 @@ def test_a_file_for_each_split_is_one_scene(splits, file):
             assert image.camera.K[0, 0].item() == pytest.approx(size[0] / 2 / math.tan(angle / 2))
 
 
+def test_images_that_are_frames_of_their_own_are_no_partners(writer):
+    """Both cameras' images in one reconstruction: each with its pose and lens, and the two of a
+    moment on one side of the split."""
+    frames = []
+    for index in range(9):
+        for folder, mode, focal in (("images", "RGB", 20.0), ("thermal", "F", 40.0)):
+            suffix = "tiff" if mode == "F" else "png"
+            name = f"{folder}/{index:02d}.{suffix}"
+            writer.image(name, mode, seed=index)
+            pose = orbit_pose(0.2 * index + 0.01 * (mode == "F")).tolist()
+            lens = {"fl_x": focal, "w": 24, "h": 16}
+            frames.append({"file_path": name, "transform_matrix": pose, **lens})
+    writer.transforms({"frames": frames})
+    scene = load_scene(writer.root)
+    for views, indices in ((scene.train, [1, 2, 3, 4, 5, 6, 7]), (scene.eval, [0, 8])):
+        assert [[*view.images] for view in views] == [[RGB], [THERMAL]] * len(indices)
+        for at, view in enumerate(views):
+            (image,) = view.images.values()
+            assert image.camera.K[0, 0] == (40 if THERMAL in view.images else 20)
+            assert view.name == f"{('images', 'thermal')[at % 2]}_{indices[at // 2]:02d}"
+
+
+@pytest.mark.parametrize("folder", ["infrared", "ir", "lwir"])
+def test_thermal_folders_have_the_names_that_they_have_beside_colmap(writer, folder):
+    writer.image("images/a.png")
+    writer.image(f"{folder}/a.png", "L")
+    lens = {"fl_x": 20.0, "w": 24, "h": 16}
+    pose = orbit_pose(0.0).tolist()
+    writer.transforms({**lens, "frames": [{"file_path": "images/a.png", "transform_matrix": pose}]})
+    assert THERMAL in load_scene(writer.root).modalities
+
+
 def test_frames_of_another_split_are_checked_as_well(writer, splits):
     writer.json("transforms_val.json", {"frames": [3]})
     with pytest.raises(SceneError, match=r"transforms_val\.json: .*frames"):

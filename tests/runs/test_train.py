@@ -33,6 +33,7 @@ from mrgs import (
     train_steps,
 )
 from mrgs.errors import ConfigError, DeviceError, MrgsWarning, RunError, SceneError
+from mrgs.marks.run_marks import spot_radius
 from mrgs.method.losses.term import LossContext, Term
 from mrgs.run_files.folder import RunFolder
 from mrgs.scene import RGB, THERMAL, Pixels, Scene, View
@@ -277,6 +278,17 @@ def test_without_held_out_views_there_is_nothing_to_score(small_scene):
     scene = replace(load_scene(small_scene), eval=())
     with pytest.raises(ConfigError, match="holds out no views"):
         train(scene, config=CONFIG, eval_steps=2)
+
+
+def test_the_callers_default_device_does_not_matter(small_scene, tmp_path):
+    """As of a notebook that has set "cuda": what is made without a device stays on the CPU."""
+    with torch.device("meta"):
+        run = train(small_scene, tmp_path / "run", make_config("mrgs-plus", "fast", max_steps=2))
+        metrics = evaluate_run(run)
+        spot = run.load_scene().train[0].camera
+        assert spot_radius((0.0, 0.0, 0.0), spot, run.load_scene()) > 0
+        report_run(run)
+    assert metrics.views
 
 
 def test_progress_is_told_after_each_step(small_scene, tmp_path):

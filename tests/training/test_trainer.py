@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import gc
 import json
 import signal
 import threading
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import count, cycle
@@ -403,6 +405,19 @@ def test_neither_half_of_a_step_nor_a_training_that_has_ended_is_saved(small_sce
     with pytest.raises(RunError, match="load_run"):
         opened.save()
     assert not folder.checkpoints()
+
+
+def test_a_training_that_has_ended_is_freed_at_once(small_scene, tmp_path):
+    """Not when the collector finds it: its memory may be a GPU's."""
+    gc.disable()
+    try:
+        with open_training(small_scene, tmp_path / "run", short_config()) as opened:
+            opened.run(stop_at=2)
+        trainer = weakref.ref(opened)
+        del opened
+        assert trainer() is None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])

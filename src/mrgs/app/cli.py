@@ -1,5 +1,4 @@
-"""The command line: argv, the terminal, exit codes. Everything else is a Python function
-elsewhere."""
+"""The command line: argv, the terminal, exit codes. All else is elsewhere."""
 
 from __future__ import annotations
 
@@ -54,7 +53,8 @@ MAX_SYNTH_SEED = 1_000_000
 """Mitsuba takes 32 bits, and every view has a seed of its own."""
 
 NO_MEMORY = ("can't allocate memory", "not enough memory")
-"""Texts of torch's RuntimeError when the system has no memory left."""
+NO_GPU_MEMORY = ("out of memory", "ALLOC_FAILED")
+"""Texts of torch's RuntimeError when the system or a GPU has no memory left."""
 
 EXIT_USER_ERROR = 2
 
@@ -188,13 +188,12 @@ def _line(error: Exception) -> str | None:
         place = "" if error.filename is None else f"{error.filename}: "
         reason = error.strerror or error
         return f"{place}{reason}: check its permissions and the room on its disk"
-    if isinstance(error, MemoryError) or (
-        isinstance(error, RuntimeError) and any(text in str(error) for text in NO_MEMORY)
-    ):
-        return (
-            "the system has no memory left: close other programs, or use fewer Gaussians or a "
-            "lower resolution (--max-gaussians, --resolution)"
-        )
+    fewer = "fewer Gaussians or a lower resolution (--max-gaussians, --resolution)"
+    text = str(error) if isinstance(error, RuntimeError) else ""
+    if any(sign in text for sign in NO_GPU_MEMORY):
+        return f"the GPU's memory does not suffice: use the CPU (--device cpu), {fewer}"
+    if isinstance(error, MemoryError) or any(sign in text for sign in NO_MEMORY):
+        return f"the system has no memory left: close other programs, or use {fewer}"
     return None
 
 
@@ -409,8 +408,7 @@ def compare(command: commands.CompareMethods) -> None:
     """Train and score methods side by side."""
     with _from_checkout(
         "mrgs_compare",
-        "mrgs compare is a package of its own: run `pip install ./plugins/compare` in a source "
-        "checkout",
+        "mrgs compare is a package of its own: run `pip install ./plugins/compare` in a clone",
     ):
         from mrgs_compare import Options, Variant
         from mrgs_compare import compare as compare_methods
@@ -505,8 +503,7 @@ def _bundled_scene() -> Path:
 def _synth(command: commands.Synth) -> None:
     with _from_checkout(
         "mrgs_synth",
-        "the scene generator comes with a source checkout only: run `pip install -e '.[synth]'` "
-        "there",
+        "the scene generator comes with a clone only: run `pip install -e '.[synth]'` there",
     ):
         from mrgs_synth import synthesize
         from mrgs_synth.solar_plant import PlantOptions, synthesize_plant

@@ -194,8 +194,7 @@ class PipelineTerminal(Monitor):
             return replace(options, overrides=overrides) if unit else None
         if "thermal_fov_deg" in error.options and options.thermal_fov_deg is None:
             degrees = _ask(
-                f"{error}\nhorizontal field of view of the thermal camera in degrees, from its "
-                f"data sheet: "
+                f"{error}\nhorizontal field of view of the thermal camera (data sheet), degrees: "
             )
             with suppress(ValueError):
                 return replace(options, thermal_fov_deg=float(degrees))

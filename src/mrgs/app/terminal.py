@@ -113,8 +113,7 @@ def note_unfinished(run: Run) -> None:
     """Warn that the run is unfinished and its newest checkpoint is used."""
     if run.facts.step < run.config.max_steps:
         print_note(
-            f"the run is at step {run.facts.step:,} of {run.config.max_steps:,}; using its newest "
-            f"checkpoint"
+            f"the run is at step {run.facts.step:,} of {run.config.max_steps:,}; using its newest"
         )
 
 

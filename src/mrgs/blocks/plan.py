@@ -247,6 +247,11 @@ def make_plan(
     regions = without_empty(
         cells(points, rows, columns), lambda region: not views_of(region, places)
     )
+    if not any(views_of(region, places) for region in regions):
+        raise ConfigError(
+            f"the photos of {scene.name} show no surface of the coarse model: train it for longer, "
+            f"or check the poses"
+        )
     if len(regions) < wanted:
         say(
             f"{wanted - len(regions)} of {wanted} blocks have no photo and are merged with their "

@@ -17,8 +17,7 @@ from mrgs.scene.view import evenly_spaced
 from mrgs.system.wording import counted, listed
 
 Severity = Literal["error", "warning", "note"]
-"""Error: training fails, or the model will be wrong. Warning: the model will be worse. Note: may be
-intended."""
+"""Error: training fails, or the model is wrong. Warning: it is worse. Note: may be intended."""
 
 POINTS, PAIRS = 20_000, 50_000_000
 """Maximum number of start points, and of pairs of a point and a camera, that are inspected."""

@@ -412,8 +412,7 @@ def _match(
     notes: ReadingNotes,
 ) -> Registered:
     """The image files of the registered images; of several formats, the registered one. A name that
-    is a whole path, or starts with a folder, is looked up there first, else among the RGB images
-    first."""
+    is a whole path, or starts with a folder, is looked up there, else among the RGB images."""
     found: Registered = {}
     for image in registered:
         folder = PurePosixPath(image.name).parts[:1]

@@ -294,8 +294,7 @@ def kind_of(image: Image.Image, path: Path) -> Kind:
         return "colour"
     raise scene_error(
         path,
-        f"has pixels of type {mode}; save it with 8 or 16 bits without a sign per channel, or as "
-        f"32-bit float",
+        f"has pixels of type {mode}; save numbers as 32-bit float, shades with 8 or 16 bits",
     )
 
 
@@ -324,11 +323,8 @@ def opened(
                 except UnidentifiedImageError:
                     file.seek(0)
                     is_array = file.read(len(NPY_SIGNATURE)) == NPY_SIGNATURE
-                    image = (
-                        _opened_array(file, path)
-                        if is_array
-                        else _opened_by_gdal(file, path, most_pixels, False)
-                    )
+                    read = _opened_array if is_array else _opened_by_gdal
+                    image = read(file, path, most_pixels)
             with image:
                 if image.width * image.height > most_pixels:
                     raise scene_error(path, too_large)
@@ -368,11 +364,12 @@ def _most_pixels(size: int) -> int:
     return most
 
 
-def _opened_array(file: BinaryIO, path: Path) -> Image.Image:
-    """A file of NumPy's: integers of 8 and 16 bits without a sign as they are, others of 32 bits,
-    and 32-bit floats."""
+def _opened_array(file: BinaryIO, path: Path, most_pixels: int) -> Image.Image:
+    """NumPy's: unsigned integers of 8 and 16 bits as they are, others of 32 bits, 32-bit floats."""
     file.seek(0)
     array = np.load(file)
+    if array.size > most_pixels:
+        raise Image.DecompressionBombError
     values = array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array
     is_image = values.ndim == 2 and min(values.shape) >= _LEAST_SIDE and values.dtype.kind in "fiu"
     if not is_image:
@@ -391,7 +388,7 @@ def _opened_array(file: BinaryIO, path: Path) -> Image.Image:
 
 
 def _opened_by_gdal(
-    file: BinaryIO, path: Path, most_pixels: int, has_integers: bool
+    file: BinaryIO, path: Path, most_pixels: int, has_integers: bool = False
 ) -> Image.Image:
     """A TIFF of one channel that Pillow does not know, or misreads: integers of 8 and 16 bits
     without a scale as they are, others as 32-bit floats, or as 32-bit integers if it

@@ -24,7 +24,15 @@ from mrgs.data.files import Number, contained, on_disk, read_json_object
 from mrgs.data.images import Decoded, Kind, decode, probe, with_channels
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.radiometric.measurement import masked
-from mrgs.data.radiometric.units import CELSIUS, FLOAT_UNITS, Unit, everyday, typical, units_named
+from mrgs.data.radiometric.units import (
+    CELSIUS,
+    FLOAT_UNITS,
+    Unit,
+    everyday,
+    typical,
+    units_named,
+    zeros_are_missing,
+)
 from mrgs.data.sources import (
     Decoder,
     FilenameLists,
@@ -107,7 +115,7 @@ def _recognise(path: Path) -> SceneSource:
 def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int) -> Scene:
     notes = source.notes
     thermal_kinds = _checked_thermal_files(source)
-    numbers = Numbers()
+    numbers = IN_CELSIUS
     splits = assign_splits([view.key for view in source.views], source.lists, notes)
     if "train" not in splits:
         raise scene_error(
@@ -180,22 +188,28 @@ class Numbers:
     without_zeros: bool = False
 
 
+IN_CELSIUS = Numbers()
+
+
 def _meaning_of(source: SceneSource, temperature: TemperatureRange | None) -> Numbers:
     """What the numbers in the thermal images mean. Those that ``prepare`` has written are °C."""
     images = [view.images[THERMAL] for view in source.views if THERMAL in view.images]
     if any(image.record is not None for image in images):
-        return Numbers()
+        return IN_CELSIUS
     some = [decode(images[at].path) for at in evenly_spaced(len(images))]
     arrays = [each.values[..., 0].numpy() for each in some if each.kind == "float"]
-    usual = [typical(array) for array in arrays]
-    known = [row for row in usual if np.isfinite(row).all()]
-    low, _, high = middle = np.median(known or np.full((1, 3), np.nan), axis=0)
-    without_zeros = bool(low > (high - low) / 4) and any((array == 0).any() for array in arrays)
+    known = [row for row in map(typical, arrays) if np.isfinite(row).all()]
+    low, _, high = usual = np.median(known or np.full((1, 3), np.nan), axis=0)
+    without_zeros = zeros_are_missing(usual) and any((array == 0).any() for array in arrays)
     if without_zeros:
         source.notes.repair("Pixels of exactly 0 in the thermal images are taken for missing ones.")
     if bool(low >= 0 and high <= 1) and (temperature is None or temperature.span_c > 3):
         return Numbers(_unit_of_shares(source.notes, temperature), without_zeros)
-    return Numbers(_unit_of(source.notes, temperature, known, middle), without_zeros)
+    if {("kelvin",), ("celsius",)} <= {tuple(everyday(FLOAT_UNITS, row)) for row in known}:
+        source.notes.repair(
+            "Some thermal images look like °C and some like K; write all of them in °C."
+        )
+    return Numbers(_unit_of(source.notes, temperature, usual), without_zeros)
 
 
 def _unit_of_shares(notes: ReadingNotes, temperature: TemperatureRange | None) -> Unit | None:
@@ -210,21 +224,16 @@ def _unit_of_shares(notes: ReadingNotes, temperature: TemperatureRange | None) -
 
 
 def _unit_of(
-    notes: ReadingNotes,
-    temperature: TemperatureRange | None,
-    known: Sequence[Float[np.ndarray, "3"]],
-    numbers: Float[np.ndarray, "3"],
+    notes: ReadingNotes, temperature: TemperatureRange | None, numbers: Float[np.ndarray, "3"]
 ) -> Unit:
-    """The unit of temperatures: °C, unless they are everyday temperatures in K only, or only K are
-    near the scene's bounds.
-
-    Args:
-        known: the ``typical`` numbers of some images.
-        numbers: their medians.
-    """
+    """The unit of temperatures, of which ``numbers`` are ``typical``: °C, unless they are everyday
+    temperatures in K only, or only K are near the scene's bounds."""
     likely = everyday(FLOAT_UNITS, numbers)
-    if {("kelvin",), ("celsius",)} <= {tuple(everyday(FLOAT_UNITS, row)) for row in known}:
-        notes.repair("Some thermal images look like °C and some like K; write all of them in °C.")
+    if temperature is None and not likely and np.isfinite(numbers).all():
+        notes.repair(
+            f"The numbers of the thermal images ({numbers[0]:.5g} to {numbers[2]:.5g}) are taken "
+            f"for °C; if they are, add temperature_bounds.json with their range."
+        )
     if temperature is not None:
         middles = {text: Unit.parse(text).celsius(numbers)[1] for text in FLOAT_UNITS}
         near = [text for text, c in middles.items() if -1 <= temperature.from_celsius(c) <= 2]
@@ -318,8 +327,11 @@ def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes
             number=f"{EVAL_EVERY}",
         )
     )
-    held_out = set(sorted(range(len(keys)), key=lambda index: keys[index])[::EVAL_EVERY])
-    return ["eval" if index in held_out else "train" for index in range(len(keys))]
+    names = [key.rpartition("/")[2] for key in keys]
+    if len({*names}) == len(names):
+        names = [*keys]  # else images of one name, as of two cameras, go together
+    held_out = {*sorted({*names})[::EVAL_EVERY]}
+    return ["eval" if name in held_out else "train" for name in names]
 
 
 def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes) -> list[Split]:
@@ -378,12 +390,12 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         raise scene_error(path, f"{error}; correct the temperatures") from None
 
 
-def bounds_of_images(paths: Sequence[Path], numbers: Numbers | None = None) -> TemperatureRange:
+def bounds_of_images(paths: Sequence[Path], numbers: Numbers = IN_CELSIUS) -> TemperatureRange:
     """The range of the temperatures in float images, °C, rounded outwards to whole degrees.
     SceneError if an image cannot be decoded, or has no temperature."""
     low, high = math.inf, -math.inf
     for path in paths:
-        celsius, valid = _celsius(decode(path), numbers or Numbers())
+        celsius, valid = _celsius(decode(path), numbers)
         if not valid.any():
             raise scene_error(path, "holds no plausible temperature; replace the file")
         low, high = min(low, float(celsius[valid].min())), max(high, float(celsius[valid].max()))
@@ -432,7 +444,7 @@ def decode_thermal(
     path: Path,
     least_width: int | None,
     temperature: TemperatureRange | None,
-    numbers: Numbers | None = None,
+    numbers: Numbers = IN_CELSIUS,
 ) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
     """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
     Integers span the range already; a float image's are mapped by ``temperature`` and not clamped,
@@ -443,7 +455,6 @@ def decode_thermal(
     if kind == "colour":
         return with_channels(values, 1), valid
     if kind == "float":
-        numbers = numbers or Numbers()
         celsius, known = _celsius(image, numbers)
         mapped = torch.from_numpy(np.where(known, celsius, np.float32(0)))
         if numbers.unit is not None:

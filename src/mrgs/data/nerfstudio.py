@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 
 from mrgs.data.cameras import lens_from_json, matrix_from_json, viewmat_from_opengl
-from mrgs.data.colmap import find_model, read_points3d
+from mrgs.data.colmap import FOLDERS, find_model, read_points3d
 from mrgs.data.files import (
     MAX_MAGNITUDE,
     ImageFinder,
@@ -139,7 +139,7 @@ def _of_lens(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _folders(modality: Modality) -> tuple[str, ...]:
     """How folders with images of a modality may be named."""
-    return str(modality), f"images_{modality}", f"{modality}_images"
+    return *FOLDERS.get(modality, ()), modality.name, f"images_{modality}", f"{modality}_images"
 
 
 def _content(root: Path, file: Path) -> dict[str, Any]:
@@ -156,9 +156,8 @@ def _content(root: Path, file: Path) -> dict[str, Any]:
     if held_out:
         frames = json_value(list[Any], content.get("frames"), '"frames"', file)
         content["frames"] = [*frames, *held_out]
-        content["test_filenames"] = [
-            frame.get("file_path", frame.get("thermal_file_path", "")) for frame in held_out
-        ]
+        names = (frame.get("file_path", frame.get("thermal_file_path", "")) for frame in held_out)
+        content["test_filenames"] = [*names]
     return content
 
 
@@ -207,6 +206,9 @@ class _TransformsReader:
         some = Annotated[list[Any], msgspec.Meta(min_length=1)]
         remedy = "export the file again"
         frames = json_value(some, self.top.get("frames"), '"frames"', self.file, remedy)
+        named = (frame.get("file_path") for frame in frames if isinstance(frame, dict))
+        found = (self.images.find(name, self.file) for name in named if isinstance(name, str))
+        self._own = {*found}  # images that are frames of their own
         views = [self._view(frame, f"frame {index}") for index, frame in enumerate(frames)]
         for modality in self.modalities:
             missing = sum(modality not in view.images for view in views)
@@ -261,8 +263,7 @@ class _TransformsReader:
         """The images of a frame by modality, RGB first. A ``file_path`` in a folder named like
         another modality is of that one; an image that is not named is looked for in the folder of
         its modality, under the name of the first, with or without that one's own folder. A frame
-        that says whether it ``is_thermal``, as ThermalNeRF's do, has one image, and so has its
-        camera."""
+        that says whether it ``is_thermal``, as ThermalNeRF's do, has one image."""
         first = self._path(frame, "file_path", what)
         others = [modality for modality in self.modalities if modality != RGB]
         paths = {
@@ -284,7 +285,8 @@ class _TransformsReader:
             names = f"{first.parent.name}/{first.name}", first.name
             named = (f"{folder}/{name}" for name in names for folder in _folders(modality))
             tried = (self.images.find(name, self.file) for name in named)
-            if path := next(filter(None, tried), None):
+            path = next(filter(None, tried), None)
+            if path is not None and path not in self._own:
                 found[modality] = path
         return {modality: found[modality] for modality in self.modalities if modality in found}
 

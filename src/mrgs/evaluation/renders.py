@@ -123,8 +123,7 @@ def evaluate_renders(
 
 def find_renders(folder: Path, scene: Scene) -> Renders:
     """The files for a scene's eval views; nothing is decoded yet. RunError if the folder has no
-    images, or not all that it must have. MrgsWarning if there are images that belong to no eval
-    view."""
+    images, or not all that it must have. MrgsWarning for images of no eval view."""
     modalities = in_order(modality for view in scene.eval for modality in view.images)
     if not folder.is_dir():
         folders = " and ".join(f"{modality}/" for modality in modalities)

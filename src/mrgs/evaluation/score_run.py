@@ -84,6 +84,7 @@ PICTURED_VIEWS, PICTURE_PX = 3, 512
 """Held-out views that TensorBoard shows during a training, and the greatest width of a picture."""
 
 
+@own_modes()
 def evaluate_run(
     run: TrainedRun, lpips_weights: Path | None = None, progress: Progress | None = None
 ) -> Metrics:
@@ -145,8 +146,7 @@ def _held_out_poses(
     not known; and where the poses are wrong, with a warning, the views with their photos aligned.
 
     At a wrong pose a sharp model scores no better than a blurred one. So such photos are aligned
-    with the model and scored there as well, as is usual where poses are learned (Lin et al., BARF,
-    2021)."""
+    with the model and scored there as well, as is usual for learned poses (BARF, 2021)."""
     error = held_out_error(run, looked_at_first(scene.eval), counted.one_more)
     if error is None or not error.found.is_wrong:
         return None if error is None else error.photo_px, None

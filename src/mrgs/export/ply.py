@@ -23,8 +23,7 @@ OPACITY_MARGIN = 1e-7
 
 
 def export(job: ExportJob) -> list[Path]:
-    """Write a file for each modality, and unless RGB is all there is ``rgb_thermal.ply``, with
-    their sidecars."""
+    """Write each modality's file, and unless RGB is all ``rgb_thermal.ply``, with sidecars."""
     paths = []
     for modality, splats, facts in job.splats():
         path = job.folder / f"{modality}.ply"

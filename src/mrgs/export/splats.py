@@ -66,8 +66,7 @@ def require_ascending(low: float, high: float) -> None:
     """ConfigError unless these are the ends of a range of temperatures."""
     if not -np.inf < low < high < np.inf:
         raise ConfigError(
-            f"the temperature range {low:g} to {high:g} °C is not ascending: give the lower end "
-            f"first"
+            f"the temperature range {low:g} to {high:g} °C is not ascending: swap its ends"
         )
 
 

@@ -65,8 +65,7 @@ def write_spz(path: Path, splats: SplatArrays) -> Path:
     )
     if bits < 0:
         raise RunError(
-            f"{path}: a splat lies {farthest:g} scene units out, farther than SPZ can store: "
-            f"export a PLY"
+            f"{path}: a splat lies {farthest:g} units out, farther than SPZ stores: export a PLY"
         )
     header = struct.pack(
         "<IIIBBBB", MAGIC, VERSION, len(splats), splats.sh_degree, bits, NO_FLAGS, 0

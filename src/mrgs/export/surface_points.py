@@ -85,16 +85,14 @@ def surface_points(baked: BakedModel, scene: Scene) -> SurfacePoints:
     rows = np.flatnonzero(opacities >= MIN_OPACITY)
     if not len(rows):
         raise RunError(
-            f"no splat has an opacity of {MIN_OPACITY} or more, so there are no points: train it "
-            f"longer"
+            f"no splat has an opacity of {MIN_OPACITY}, so there are no points: train longer"
         )
     positions = to_array(baked.means)[rows]
     values, cameras = carry_over(depth_maps(baked, scene), positions, 0.0, SURFACE_DEPTH)
     seen = cameras > 0
     if not seen.any():
         raise RunError(
-            "no opaque splat lies on a surface that a camera sees, so there are no points: train "
-            "it longer"
+            "no opaque splat is on a surface that a camera sees: there are no points, train longer"
         )
     columns = value_columns(baked, values[seen])
     return SurfacePoints(positions[seen], columns, opacities[rows[seen]])

@@ -243,8 +243,7 @@ def totals(sums: Sequence[Sums], weights: Sequence[Tensor]) -> list[Tensor]:
 
 
 def slots(rows: int, keep: bool) -> int:
-    """Blocks of activations that a pass needs: all to keep for the backward pass, else one a
-    share."""
+    """Blocks of activations that a pass needs: all for the backward pass, else one a share."""
     return -(-rows // BLOCK_ROWS) if keep else SHARES
 
 

@@ -225,8 +225,7 @@ def any_lane(typingctx: Any, mask: Any) -> Any:
 @intrinsic
 def store_sums(typingctx: Any, floats: Any, index: Any, vectors: Any) -> Any:
     """The sum over the lanes of each of up to sixteen vectors (a tuple) to consecutive floats, from
-    ``index``. Vectors are folded together, each pass halving their number and lanes, in one
-    order."""
+    ``index``. Vectors are folded together, halving their number and lanes, in one order."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         folded = cgutils.unpack_tuple(builder, args[2])

@@ -215,8 +215,7 @@ def _from_scene(
 
 def _require_similar(crs: Any, scale: float, mirrored: float, distortion: float) -> None:
     """Refuse a CRS that mirrors, stretches or distorts the scene's place. GIS (and PROJ) swap
-    northing and easting, but not southings and westings: west, south is a half turn, south, west a
-    mirror image."""
+    northing and easting, but not southings and westings, which turn or mirror the map."""
     if not np.isfinite(distortion):
         problem = "has no coordinates for the scene's place; choose another CRS"
     elif mirrored > scale:

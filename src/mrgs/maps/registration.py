@@ -220,8 +220,7 @@ def _fitted(pycolmap: Any, source: Points, target: Points, tolerance: float) -> 
 
 REFITS, TIMES_MEDIAN, FEWEST_NEAR = 20, 0.5, 50
 """Least squares are repeated with the pairs nearer than this multiple of the median distance, or
-with so many: most pairs are off by an error of a depth, and those that are not lie close
-together."""
+with so many: most pairs are off by an error of a depth, and the others lie close."""
 
 
 def _registration(found: Any) -> Registration:

@@ -282,8 +282,7 @@ class MarkMeter:
         )
 
     def _photos_of(self, places: Float[np.ndarray, "n 3"]) -> int | None:
-        """Number of surveyed thermal cameras that see at least half of the places; None if none is
-        known."""
+        """Number of surveyed thermal cameras that see half of the places; None if not known."""
         if not self.survey.cameras:
             return None
         points = checked_points(places)

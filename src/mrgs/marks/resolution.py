@@ -85,8 +85,7 @@ class Resolution:
 
 
 def square_about(size: tuple[int, int], x: float, y: float) -> tuple[slice, slice]:
-    """Rows and columns of the surroundings of a pixel in an image of a width and a height, shifted
-    into the image."""
+    """Rows and columns around a pixel in an image of a width and a height, shifted into it."""
     side = max(8, round(SURROUNDINGS_SHARE * min(size)))
     left = min(max(round(x - side / 2), 0), size[0] - side)
     top = min(max(round(y - side / 2), 0), size[1] - side)

@@ -25,6 +25,7 @@ from mrgs.scene import THERMAL, Camera, Rendering, Scene, WorldFrame
 from mrgs.scene.arrays import Array, as_tensor
 from mrgs.scene.camera import MIN_DEPTH
 from mrgs.survey import SURVEY_FILE, read_survey
+from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import shift_temperatures
 
 SPOT_PHOTO_PX = 3.0
@@ -39,8 +40,7 @@ SPOT_SHARE = 0.01
 
 class RunMarks:
     """The marks of a run: added, changed, measured, and saved at once in its ``marks.json``.
-    SceneError if the run is old and its scene is not there. ``scene`` is the run's, where it has
-    been read before."""
+    SceneError if the run is old and its scene is not there. ``scene`` is the run's, if read."""
 
     def __init__(self, run: Run, scene: Scene | None = None) -> None:
         self.run = run
@@ -267,6 +267,7 @@ class MarkPicker:
         return float(known.mean()) if known.size else np.nan
 
 
+@own_modes()
 def spot_radius(place: Place, camera: Camera, scene: Scene | None) -> float:
     """Radius of a spot as wide as three pixels of the nearest thermal photo, scene units."""
     point = torch.tensor(place, dtype=torch.float64)

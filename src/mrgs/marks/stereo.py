@@ -20,6 +20,7 @@ from torch.nn.functional import interpolate
 from mrgs.marks.surface import ROBUST_STEPS, SAME_SURFACE, tukey_weights
 from mrgs.scene import RGB, THERMAL, Camera, View, evenly_spaced
 from mrgs.scene.depth_map import DepthMap, PhotoSurvey
+from mrgs.system.torch_modes import own_modes
 
 Vector: TypeAlias = Float[np.ndarray, "3"]
 Samples: TypeAlias = Float[np.ndarray, "v s c"]
@@ -109,6 +110,7 @@ class PhotoStereo:
         self._views = views
         self._photos: dict[int, _Photo] = {}
 
+    @own_modes()
     def depth(self, camera: Camera, x: float, y: float, depth: float) -> float:
         """z-depth of the surface at a place of an image, scene units; that of the model where the
         photos do not give more. SceneError if a photo cannot be read."""

@@ -1,5 +1,4 @@
-"""``marks.json`` in a run's folder: written whole or not at all, read strictly, undone step by
-step."""
+"""``marks.json`` in a run's folder: written whole or not at all, read strictly, undone by steps."""
 
 from __future__ import annotations
 

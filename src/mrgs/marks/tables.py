@@ -272,8 +272,7 @@ def write_features(
 
 
 def _geometry(mark: Mark, world: WorldFrame) -> dict[str, Any]:
-    """A mark in longitude, latitude and height, or else in the survey's local frame or the scene's
-    own."""
+    """A mark in longitude, latitude and height, or else in the survey's or the scene's frame."""
     places = [list(point) for point in mark.points]
     if world.offset is not None:
         places = [np.add(point, world.offset).tolist() for point in mark.points]

@@ -57,8 +57,7 @@ class OptimizerConfig:
             raise ConfigError("the share slowdown_to must be above 0: the rates fall log-linearly")
         if self.means == 0 or self.means_final == 0:
             raise ConfigError(
-                "the learning rates means and means_final must be above 0: the one decays to the "
-                "other"
+                "the learning rates means and means_final must be above 0: one decays to the other"
             )
 
     def faster(self, factor: float) -> OptimizerConfig:

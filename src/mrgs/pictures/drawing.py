@@ -47,8 +47,7 @@ Box: TypeAlias = tuple[float, float, float, float]
 
 class Scale(NamedTuple):
     """The meaning of a map's colours: values of the first and the last colour, the first larger
-    where the palette runs the other way, the unit after the largest number, and the sign before
-    decimals."""
+    where the palette runs the other way, the unit after the largest number, and the sign."""
 
     palette: PaletteName
     low: float

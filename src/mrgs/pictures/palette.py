@@ -93,8 +93,7 @@ def tick_labels(ticks: list[float], decimal: str = ".") -> list[str]:
 
 
 def display_range(values: Float[np.ndarray, "..."], tail: float = 0.5) -> tuple[float, float]:
-    """The limits to show values between: percentiles ``tail`` and 100 − ``tail`` of the finite
-    ones, never equal."""
+    """The limits to show values between: percentiles ``tail`` and 100 − ``tail``, never equal."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 1.0

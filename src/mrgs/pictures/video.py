@@ -65,8 +65,7 @@ def _remove_video(folder: Path, name: str) -> None:
             path.unlink(missing_ok=True)
     except OSError as error:
         raise RunError(
-            f"{error.filename} of an earlier video cannot be removed ({error.strerror}): remove it "
-            f"by hand"
+            f"{error.filename} of an earlier video cannot be removed ({error.strerror}): remove it"
         ) from error
 
 

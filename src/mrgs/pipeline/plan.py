@@ -232,8 +232,7 @@ QUALITIES: dict[str, Quality] = {
 @dataclass(frozen=True)
 class PlannedStage:
     """A stage of a pipeline, with its number from 1, of ``total``, the seconds that its parts are
-    expected to take, by name, and whether an earlier call has finished it, with the same inputs and
-    settings."""
+    expected to take, by name, and whether an earlier call has finished it, with the same inputs."""
 
     name: str
     number: int

@@ -110,7 +110,7 @@ def run_pipeline(
     disk = disk_bytes(work, intake, chosen)
     _require_disk(disk, target)
     memory, free = needed_memory(work, intake, chosen), free_memory()
-    if free is not None and memory > free:
+    if used == HOST and free is not None and memory > free:
         notes.append(
             f"training needs about {memory / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are "
             f"free: close other programs, or choose a lower quality"

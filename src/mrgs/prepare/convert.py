@@ -265,8 +265,7 @@ def read_rgb(path: Path, orientation: int, own: int = 1) -> ImageFile:
 
 
 def read_embedded(visible: VisibleImage | None, path: Path, orientation: int) -> ImageFile:
-    """The RGB photo embedded in a thermal photo's file, with its path. SceneError if there is none,
-    or it is damaged."""
+    """The RGB photo in a thermal photo's file, with its path. SceneError if missing or damaged."""
     if visible is None:
         raise scene_error(
             path, "holds no visible photo, while others do; leave it out, or add its RGB photo"

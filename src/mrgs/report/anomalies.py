@@ -356,13 +356,11 @@ LEAST_PHOTOS = 2
 """Number of photos that must see a proposed place."""
 
 LEAST_CERTAINTY, LARGEST_UNCERTAINTY_C = 10.0, 5.0
-"""Least contrast of a proposed place in multiples of its uncertainty, and the largest uncertainty,
-K."""
+"""Least contrast of a proposed place in multiples of its uncertainty, and the largest one, K."""
 
 
 class Anomaly(NamedTuple):
-    """A spot, its reading as a mark, and its temperature minus that of its surroundings, in the
-    unit of the reading."""
+    """A spot, its reading as a mark, and its temperature minus that of its surroundings."""
 
     spot: Spot
     reading: MarkReading

@@ -527,8 +527,7 @@ class _Comparison:
 def kind_of(
     before: Values, after: Values, part: Bool[np.ndarray, " n"], ring: Bool[np.ndarray, " n"]
 ) -> ChangeKind:
-    """What has happened in a part of a surface, by its contrast to its unchanged surroundings on
-    both dates."""
+    """What happened to a part of a surface, by its contrast to its surroundings on both dates."""
     change = after[part].mean() - before[part].mean()
     if not ring.any():
         return "warmer" if change > 0 else "colder"

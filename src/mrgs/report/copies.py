@@ -96,8 +96,7 @@ STYLES = {"figcaption": "Caption", "li": "List Bullet", "p": None}
 
 
 def _write_docx(page: Path, path: Path) -> None:
-    """Write a page as a Word document, whose headings and tables are Word's own; profiles become
-    pictures."""
+    """Write a page as a Word document, with its headings and tables; profiles become pictures."""
     docx = require_docx()
     import lxml.html
 

@@ -213,8 +213,7 @@ WHITE_SHARE = 0.3
 """Share of white mixed into the small map, to make the mark visible."""
 
 LOOKS_DOWN = 0.7
-"""Mean share of the cameras' directions that points down, above which a scene is seen from
-above."""
+"""Mean share of the cameras' directions that points down, of a scene seen from above."""
 
 
 @dataclass(frozen=True, eq=False)

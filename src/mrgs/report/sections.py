@@ -157,8 +157,7 @@ def _given(value: float | None, unit: str) -> str:
 
 
 def _rounded(value: float) -> float:
-    """The value as it is shown, so that what is judged is what is read; without a minus before
-    0."""
+    """The value as it is shown, so that what is judged is what is read; never −0."""
     return round(value, 1) + 0.0
 
 

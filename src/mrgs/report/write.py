@@ -24,6 +24,7 @@ from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
 from mrgs.survey import survey_of
+from mrgs.system.torch_modes import own_modes
 from mrgs.system.wording import quoted
 
 Progress: TypeAlias = Callable[[int, int, str], None]
@@ -32,6 +33,7 @@ Progress: TypeAlias = Callable[[int, int, str], None]
 PARTS = ("hottest and coldest places", "measurements and pictures", "page")
 
 
+@own_modes()
 def report_run(
     run: Run,
     path: str | Path | None = None,

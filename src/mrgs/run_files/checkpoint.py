@@ -112,8 +112,7 @@ def skipped_in_a_row_of(header: Mapping[str, Any]) -> int:
 
 @contextmanager
 def fitting(path: Path) -> Iterator[None]:
-    """Within this block tensors of a checkpoint are used. RunError if they do not fit the run's
-    configuration."""
+    """Within this block tensors of a checkpoint are used. RunError if they do not fit the run's."""
     try:
         yield
     except (KeyError, RuntimeError, TypeError, ValueError) as error:

@@ -134,8 +134,7 @@ class RunRecord:
 
     def add(self, statistics: StepStatistics) -> None:
         """Count a step, and log it if it is its turn. TrainingError if three steps in a row were
-        skipped, NotFiniteError if the state has a NaN or an infinity, RunError if the log cannot be
-        written."""
+        skipped, NotFiniteError if the state has a NaN or an infinity, RunError if it cannot log."""
         self.step = statistics.step
         self._unchecked.append(statistics)
         if self.step % self._check_every == 0:
@@ -202,8 +201,7 @@ class RunRecord:
         kept = f"the last good checkpoint is {found[-1]}" if found else "there is no checkpoint yet"
         again = "Resume" if found else "Retrain"
         return kind(
-            f"{why}; {kept}. {again} with a smaller learning rate, or check the scene's poses and "
-            f"images"
+            f"{why}; {kept}. {again} with a smaller learning rate, or check poses and images"
         )
 
     def _seconds(self) -> float:

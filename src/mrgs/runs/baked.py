@@ -165,9 +165,9 @@ class BakedModel:
 
     def median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
         """The z-depth at which half of a modality's light is blocked; NaN where less is."""
-        splats, projection = self._rendered, self.dilation.projection(camera, self.device)
-        with own_modes(self.device):
-            return median_depth(splats._geometry, splats.opacities[modality], projection).cpu()
+        with own_modes():  # on the host, where it is found in any case
+            projection = self.dilation.projection(camera, self.means.device)
+            return median_depth(self._geometry, self.opacities[modality], projection).cpu()
 
     @property
     def _geometry(self) -> Geometry:

@@ -69,8 +69,8 @@ class Run(TrainedRun):
         return Rendering(rendering, depths)
 
     def _median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
-        with self._computing():
-            return self._rendered.median_depth(modality, camera).cpu()
+        with self._computing():  # on the host, where it is found in any case
+            return self.model.median_depth(modality, camera).cpu()
 
     @contextmanager
     def _computing(self) -> Iterator[None]:

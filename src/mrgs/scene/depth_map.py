@@ -18,6 +18,7 @@ from mrgs.scene.rendering import Rendering
 from mrgs.scene.view import evenly_spaced
 from mrgs.scene.world import SceneBounds
 from mrgs.system.memory import row_chunks
+from mrgs.system.torch_modes import own_modes
 
 Points: TypeAlias = Float32[np.ndarray, "n 3"]
 SurfaceRenderer: TypeAlias = Callable[[Camera], Rendering]
@@ -208,6 +209,7 @@ class PhotoSurvey(DepthMaps):
         super().__init__(cameras, self._seen)
         self._render = render
 
+    @own_modes()
     def _seen(self, number: int) -> DepthMap:
         small = self.cameras[number].at_most(MAX_WIDTH_PX)
         rendering = self._render(small).cpu()

@@ -214,8 +214,7 @@ def matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
 def undistort(
     values: Float32[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None, lens: Lens
 ) -> tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]:
-    """The image of ``pinhole_of(lens)``, bilinearly sampled, with the mask of its usable pixels
-    (None if all)."""
+    """The image of ``pinhole_of(lens)``, bilinearly sampled, and its usable pixels (None: all)."""
     if lens.is_pinhole:
         return values, valid
     grid, seen = _sampling_grid(lens)
@@ -231,8 +230,7 @@ def _spread(low: float, high: float, pixels: int, focal_px: float) -> tuple[floa
     steps = max(pixels - 1, 1)
     if not (high - low) * focal_px >= _MIN_KEPT * steps:
         raise ValueError(
-            "the distortion coefficients fold the image, so that hardly anything of it would be "
-            "left"
+            "the distortion coefficients fold the image, so that hardly anything would be left"
         )
     focal = steps / (high - low)
     return float(focal), float(0.5 - focal * low)

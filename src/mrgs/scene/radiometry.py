@@ -139,8 +139,7 @@ class Planck:
 
     def problem(self) -> str | None:
         """Why these cannot be a camera's constants; None if they can. b is the second radiation
-        constant (14,388 µm K) over the effective wavelength: 500 K and 20,000 K are 29 µm and 0.7
-        µm."""
+        constant (14,388 µm K) over the effective wavelength: 500 and 20,000 K are 29 and 0.7 µm."""
         if not all(map(math.isfinite, astuple(self))):
             return "not a number"
         if not (self.r1 > 0 and self.r2 > 0):

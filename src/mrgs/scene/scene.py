@@ -293,8 +293,7 @@ def _thermal_images(celsius: Images | None) -> list[Tensor | None]:
         if low < COLDEST_C or high > HOTTEST_C:
             raise ValueError(
                 f"celsius[{number}] has values from {low:.5g} to {high:.5g}: give °C between "
-                f"{COLDEST_C:g} and {HOTTEST_C:g}, no raw counts, and NaN where a pixel is not "
-                f"known"
+                f"{COLDEST_C:g} and {HOTTEST_C:g}, no raw counts, and NaN where not known"
             )
         images.append(image)
         sampled.append(known[:: 1 + len(known) // _SAMPLED].double())

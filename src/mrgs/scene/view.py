@@ -52,8 +52,7 @@ class PosedImage:
 
     def look(self, width: int) -> Pixels:
         """The image where this many pixels across suffice: a large photo is read at a fraction of
-        its size, in a fraction of the time. Others are as from ``load``. SceneError if it cannot be
-        read."""
+        its size, in a fraction of the time. Others are as from ``load``. SceneError as for it."""
         return self.load() if self.load_at_least is None else self.load_at_least(width)
 
 

@@ -19,8 +19,7 @@ MAX_TEXT_BYTES = 32 * 2**20
 
 @contextmanager
 def open_regular(path: Path) -> Iterator[BinaryIO]:
-    """A regular file, to be read. OSError for anything else, such as a pipe, which may wait for
-    ever."""
+    """A regular file, to be read. OSError for anything else, such as a pipe, which may block."""
     at_once = getattr(os, "O_NONBLOCK", 0)
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once)) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):

@@ -106,8 +106,7 @@ class FairLock:
 @contextmanager
 def ctrl_c_waits() -> Iterator[None]:
     """Within this block Ctrl-C waits for its end, where KeyboardInterrupt is raised; a second one
-    does not. Nothing changes where Ctrl-C does something else, or in threads other than the main
-    one."""
+    does not. Nothing changes where Ctrl-C does something else, or in other threads."""
     is_main = threading.current_thread() is threading.main_thread()
     if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield

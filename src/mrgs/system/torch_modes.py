@@ -76,8 +76,7 @@ class _Setting(NamedTuple):
 
 def _settings() -> list[_Setting]:
     """The common names, and from torch 2.9 on the operations' own. As far as they can be read, all
-    say the same within ``_full_precision``: otherwise torch would raise where something reads a
-    common name."""
+    say the same within ``_full_precision``: else torch would raise where a common name is read."""
     cuda, cudnn = torch.backends.cuda, torch.backends.cudnn
     mkldnn: Any = torch.backends.mkldnn  # its annotations lack the operations
     products = _Setting(

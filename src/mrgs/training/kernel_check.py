@@ -48,8 +48,7 @@ _IMPORTED = {"mrgs", "torch", "numpy", "scipy", "jaxtyping", *sys.stdlib_module_
 
 def custom_definitions() -> list[str]:
     """The functions of the model that someone has replaced from outside of the package, each as
-    "equation: NAME: WHAT REPLACES IT", and as "kernel: NAME: ..." the operations whose kernels were
-    found to differ."""
+    "equation: NAME: WHAT REPLACES IT", and as "kernel: NAME: ..." those whose kernels differ."""
     found: dict[str, str] = {}
     for name, value in _members():
         if isinstance(value, Operation) and value.rejected:

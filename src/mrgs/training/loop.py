@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import torch
@@ -71,7 +72,7 @@ class Trainer:
             config,
             tensors=lambda: checkpoint.tensors_of(state),
             write=lambda path, facts: checkpoint.save(path, state, facts),
-            describe=self._spreads,
+            describe=partial(_spreads, state, scene),
             device=device,
             skipped_in_a_row=int(state.skipped_in_a_row),
         )
@@ -161,6 +162,7 @@ class Trainer:
         with self.between_steps():
             self._is_closed = True
         self._photos.close()
+        self._release()
 
     def between_steps(self) -> AbstractContextManager[None]:
         """Within this block no other thread takes a step or writes a checkpoint."""
@@ -249,9 +251,7 @@ class Trainer:
                     raise
             # The memory of the error's frames is free here, outside of the except block.
             state.go_back(*before)
-            self._photos.release()
-            if self._recorder is not None:
-                self._recorder.forget()
+            self._release()
             torch.cuda.empty_cache()
         self._record.step = state.step
         if state.step > 0:
@@ -261,11 +261,17 @@ class Trainer:
             kept = f"the last good step is kept in {found[-1]}: resume on the CPU, or retrain"
         raise TrainingError(
             f"the GPU's memory does not suffice for step {state.step + 1:,} with "
-            f"{len(state.model.gaussians):,} Gaussians; {kept} with fewer Gaussians or a lower "
-            f"resolution",
+            f"{len(state.model.gaussians):,} Gaussians; {kept} with fewer of them or of pixels",
             options=("max_gaussians", "resolution"),
         )
 
-    def _spreads(self) -> Mapping[str, float | None]:
-        spreads = part_spreads(self.state.model, self.scene.train[0].camera.position)
-        return {} if spreads is None else spreads.to_json(self.scene.temperature)
+    def _release(self) -> None:
+        """Give back the GPU's memory that is kept for speed."""
+        self._photos.release()
+        if self._recorder is not None:
+            self._recorder.forget()
+
+
+def _spreads(state: TrainingState, scene: Scene) -> Mapping[str, float | None]:
+    spreads = part_spreads(state.model, scene.train[0].camera.position)
+    return {} if spreads is None else spreads.to_json(scene.temperature)

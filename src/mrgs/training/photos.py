@@ -57,6 +57,7 @@ class TrainingPhotos:
         self._device = device
         self._left_bytes = kept_limit() if limit_bytes is None else limit_bytes
         if gpu_limit_bytes is None:
+            torch.cuda.empty_cache()  # of earlier trainings; does nothing without a GPU
             free = torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else 0
             gpu_limit_bytes = int(SHARE_OF_GPU_MEMORY * free)
         self._gpu_left_bytes = gpu_limit_bytes

@@ -138,8 +138,7 @@ class Recorder:
                 self._has_said_too_many = True
                 warn_user(
                     "views differ in size, intrinsics or modalities in too many ways: those beyond "
-                    f"the first {MOST_RECORDINGS} kinds are trained without CUDA graphs, which is "
-                    f"slower"
+                    f"the first {MOST_RECORDINGS} kinds are trained without CUDA graphs, slower"
                 )
             return run_pass(inputs)
         recording = self._recordings[kind] = _Recording(inputs, self._runs)

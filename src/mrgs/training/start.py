@@ -158,8 +158,9 @@ def open_training(
         # A resumed run continues with the cameras as they are now.
         state.model.dilation = config.dilation_of(facts.capture)
         log = folder.tensorboard_log(facts.step) if options.tensorboard else nullcontext()
-        rest = state, hooks.validation
-        with log, closing(Trainer(folder, facts, loaded, config, *rest)) as trainer:
+        with own_modes():
+            trainer = Trainer(folder, facts, loaded, config, state, hooks.validation)
+        with log, closing(trainer):
             yield trainer
 
 
@@ -221,8 +222,8 @@ def scene_to_train(scene: Scene | str | Path, config: RunConfig) -> Scene:
     with own_modes():
         if not isinstance(scene, Scene):
             scene = load_scene(scene, resolution=config.resolution, seed=config.seed)
-    will_compute()
-    warn_of_problems(scene)
+        will_compute()
+        warn_of_problems(scene)
     return scene
 
 

@@ -120,8 +120,7 @@ class MarkBoard:
         at_once: bool,
     ) -> float:
         """What a spot at a pixel (column, row) of a picture with these z-depths would read; NaN
-        where no photo sees it, the model changes, or, ``at_once``, nothing has been read there
-        yet."""
+        where no photo sees it, the model changes, or, ``at_once``, nothing has been read yet."""
         return self.picker.temperature(camera, depth, pixel, self.regions, at_once)
 
     def subscribe(self, listener: Listener) -> None:

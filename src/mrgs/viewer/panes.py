@@ -188,8 +188,7 @@ def render_pane(
 def shown_image(
     modality: Modality, image: Float[Tensor, "h w c"], temperature: TemperatureRange | None
 ) -> ShownImage:
-    """A modality's image [H, W, C] as colours [H, W, 3]; one channel as values [H, W] in its
-    unit."""
+    """A modality's image [H, W, C] as colours [H, W, 3]; one channel as values [H, W]."""
     one = modality.channels == 1
     return shown_values(modality, image, temperature) if one else to_rgb8(image)
 
@@ -208,8 +207,7 @@ def photo_images(
 
 
 def difference(modality: Modality, rendered: PaneImages, photo: PaneImages) -> PaneImages:
-    """Rendered minus measured values of a one-channel modality; NaN where the photo is masked or
-    the model empty."""
+    """Rendered minus measured values of a one-channel modality; NaN where either has none."""
     solid = rendered.solid & photo.solid
     values = np.where(solid, rendered.images[modality] - photo.images[modality], np.nan)
     return PaneImages({modality: values.astype(np.float32)}, rendered.depth, solid)

@@ -141,8 +141,7 @@ class LiveView:
             _log.warning("training continues without its viewer: %s", error)
 
     def on_step(self, statistics: StepStatistics) -> None:
-        """Draw if a browser is connected and the time budget allows; for ``train(on_step=...)``.
-        Raises nothing."""
+        """Draw if a browser is connected and the time budget allows; for ``train(on_step=...)``."""
         viewer = self._viewer
         if viewer is None or self._model is None:
             return

@@ -161,8 +161,7 @@ class Viewer:
         except OSError as error:
             self._worker.close()
             raise ConfigError(
-                f"cannot listen on {host}:{port} ({error}): choose another port, or end what uses "
-                f"it",
+                f"cannot listen on {host}:{port} ({error}): choose another port, or free this one",
                 options=("port",),
             ) from error
         self._watching = threading.Thread(target=self._watch, name="mrgs-viewer-files", daemon=True)

@@ -174,6 +174,16 @@ def test_bare_numbers(save, form, factor):
     assert "SDK" in photo.facts.source
 
 
+@pytest.mark.parametrize("counts", [(2_600, 21_500), (27_315, 31_000)])
+def test_counts_are_no_tenths_of_a_degree(save, counts):
+    """As of ``dji_irp -a extract``, or a camera's dump in hundredths of a K."""
+    numbers = np.linspace(*counts, 512 * 640).astype("<u2")
+    with pytest.raises(SceneError, match="-a measure, or give the unit"):
+        read_thermal_photo(save("a.raw", numbers.tobytes()))
+    hot = read_thermal_photo(save("a.raw", numbers.tobytes()), Overrides(unit="celsius*10"))
+    assert hot.temperature_c.flat[0] == pytest.approx(counts[0] / 10)
+
+
 def test_bare_numbers_of_another_length(save):
     with pytest.raises(SceneError, match="1000 bytes"):
         read_thermal_photo(save("a.raw", bytes(1000)))

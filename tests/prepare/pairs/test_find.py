@@ -445,6 +445,57 @@ def test_what_flirimageextractor_writes(photos, originals, thermal, skipped):
     assert_left_out(found, {name.format(s): "used instead" for s in stems for name in skipped})
 
 
+@pytest.mark.parametrize(
+    "form", ["%Y-%m-%d_%H-%M-%S.%f", "cam_%Y%m%d_%H%M%S_%f", "%Y%m%dT%H%M%S%f"]
+)
+def test_clock_times_in_names_are_times(photos, form):
+    def name(seconds: float) -> str:
+        return (NOON + timedelta(seconds=seconds)).strftime(form)
+
+    rgb = [f"rgb/{name(number / 2)}.png" for number in range(6)]
+    thermal = [f"thermal/{name(number / 2 + 0.03)}.png" for number in range(6)]
+    found = find_pairs(photos(dict.fromkeys(rgb + thermal, "png")))
+    assert "within" in found.rule
+    assert [rgb.index(one) for one, _ in files(photos({}), found)] == list(range(6))
+
+
+@pytest.mark.parametrize(
+    ("content", "pair"),
+    [
+        (
+            {"1_rgb.png": "png", "1_thermal_raw.tif": "celsius", "1_thermal_color.png": "png"},
+            ("1_rgb.png", "1_thermal_raw.tif"),
+        ),
+        (
+            {"DJI_0001_W.JPG": "jpg", "DJI_0001_T.JPG": "dji", "DJI_0001_T_celsius.tif": "celsius"},
+            ("DJI_0001_W.JPG", "DJI_0001_T_celsius.tif"),
+        ),
+        ({"DJI_0001_W.JPG": "jpg", "DJI_0001_T_temp.tif": "celsius"}, None),
+        ({"rgb/1.png": "png", "thr/1.png": "png"}, None),
+        (
+            {
+                "rgb/1.png": ("jpg", {"size": (24, 20)}),
+                "thermal/1.tif": "celsius",
+                "depth/1.tif": "celsius",
+                "labels/1.png": "png",
+                "rgb/1_mask.png": "png",
+            },
+            ("rgb/1.png", "thermal/1.tif"),
+        ),
+    ],
+)
+def test_files_beside_the_photos(photos, content, pair):
+    root = photos(content)
+    assert files(root, find_pairs(root)) == [pair or tuple(content)]
+
+
+def test_numbers_that_a_picture_of_their_name_stands_for_are_said(photos):
+    content = {f"rgb/{i}.jpg": ("jpg", {"size": (24, 20)}) for i in range(3)}
+    content |= {f"thermal/{i}.png": "png" for i in range(3)}
+    found = find_pairs(photos(content | {f"tiff/{i}.tif": "celsius" for i in range(3)}))
+    assert any("tiff/0.tif holds numbers" in text for text in found.warnings)
+
+
 def test_what_flirpy_writes(photos):
     """The camera's records, radiometric TIFFs, previews of these, and RGB photos."""
     record, stems = FlirPhoto().record(), [f"frame_{number:06d}" for number in range(3)]
@@ -474,7 +525,7 @@ def test_names_in_seconds_since_1970_are_times(photos, form):
 
 
 def test_numbers_that_cannot_be_seconds_are_no_times(photos):
-    names = ["1000012345", "20230101120000", "1234567890", "17000000001"]
+    names = ["1000012345", "20231301120000", "1234567890", "17000000001"]
     root = photos({f"{folder}/{name}.png": "png" for name in names for folder in ("rgb", "ir")})
     assert [photo.exif.taken for photo in take_inventory(root).photos] == [None] * 8
 

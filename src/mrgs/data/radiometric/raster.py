@@ -28,6 +28,7 @@ from mrgs.data.radiometric.units import (
     guessed_unit,
     stated_unit,
     typical,
+    zeros_are_missing,
 )
 from mrgs.errors import scene_error
 
@@ -64,6 +65,9 @@ def read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     if pixels.ndim == 3:
         return _from_colours(pixels, path, facts, overrides)
     if has_numbers:
+        if zeros_are_missing(typical(pixels)) and (pixels == 0).any():
+            pixels = np.where(pixels == 0, np.float32(np.nan), pixels)
+            facts = facts.adding(notes=("Pixels of exactly 0 are taken for missing ones.",))
         return finished(pixels, FLOAT_UNITS, path, facts, overrides)
     if pixels.dtype == np.uint8:
         return _from_grey(pixels.astype(np.float32) / 255, path, facts, overrides)

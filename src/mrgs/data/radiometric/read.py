@@ -20,7 +20,7 @@ from mrgs.errors import scene_error
 MAX_BYTES = 256 * 2**20
 
 _RASTERS = (JPEG_SIGNATURE, b"\x89PNG\r\n\x1a\n", *TIFF_SIGNATURES, NPY_SIGNATURE)
-_TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
+_TABLE_SUFFIXES = {".csv", ".txt", ".tsv", ".asc", ".dat"}
 
 Kind = Literal["signal", "numbers", "table", "image"]
 """Content of a file: a camera's raw signal; bare numbers, or floats in an image; a table of
@@ -105,9 +105,9 @@ def read_thermal_photo(path: str | Path, overrides: Overrides | None = None) -> 
     unknown kind or scale, or a DJI R-JPEG that DJI's tool does not read.
 
     Args:
-        path: a FLIR radiometric JPEG or FFF file; a DJI R-JPEG; a TIFF, PNG or JPEG image; a table
-            (``.csv``, ``.txt``, ``.tsv``); an array (``.npy``); or the bare numbers of DJI's tool
-            (``.raw``).
+        path: a FLIR radiometric JPEG or FFF file; a DJI R-JPEG; a TIFF, PNG or JPEG image; an array
+            (``.npy``); a table (``.csv``, ``.txt``, ``.tsv``, ``.asc``, ``.dat``); or the bare
+            numbers of DJI's tool (``.raw``).
         overrides: what the user knows better than the file.
     """
     path, overrides = Path(path), overrides or Overrides()

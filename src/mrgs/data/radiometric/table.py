@@ -38,7 +38,7 @@ _HEADINGS = re.compile(r"(y|v|i|rows?|lines?|zeile)|(x|u|j|col\w*|spalte)|([tcfk
 _NO_HEADING = re.compile(r"[\[(/].*|pixel|px|pos(?:ition)?|coord\w*|index|[\W\d_]")
 """Headings of a pixel's row, its column and its temperature, and what may be beside them."""
 
-_OF_EXTRACTOR = ["x", "y", "temp (c)"]
+_OF_EXTRACTOR = ["x", "y", "temp(c)"]
 """Headings by FlirImageExtractor, whose x is the row."""
 
 
@@ -81,8 +81,7 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """The texts between the separators, numbers with a decimal point and without unit, quotes and
-    signs of thousands."""
+    """Texts between separators, numbers with a point and without unit, quotes and thousands."""
     line = _UNIT_BEHIND.sub("", line)
     if separator == ",":
         line = _QUOTED.sub(lambda quoted: _with_point(quoted[0]), line)
@@ -123,7 +122,10 @@ class _Table(NamedTuple):
 def _table(cells: list[list[str]], is_comma: bool) -> _Table | None:
     """The table in the cells of all lines. Where commas separate them, every second may be the
     decimals of the one before, behind the row's number or not: whole numbers then follow each other
-    much more closely than the two of a pair."""
+    much more closely than the two of a pair. No number in a long line has a point then."""
+    longest = max(map(len, cells), default=0)
+    numbers = (cell for each in cells if 2 * len(each) > longest for cell in each[1:])
+    is_comma = is_comma and not any("." in cell and _NUMBER.fullmatch(cell) for cell in numbers)
     for start in (0, 1) if is_comma else ():
         table = _largest([[*each[:start], *_paired(each[start:])] for each in cells])
         if table and len(table.rows[0]) - start > 2:
@@ -176,11 +178,12 @@ def _picture(table: _Table, beside: list[str], path: Path) -> Float64[np.ndarray
     height, width = values.shape
     columns = next((found for line in beside if (found := columns_of(line, width))), None)
     values = _placed(values[:, columns]) if columns else values
-    if values.size == 0 or (not columns and height > 4 * width and width < 8):
+    is_list, is_recording = height > 4 * width and width < 8, width > max(64, 4 * height)
+    if values.size == 0 or (not columns and (is_list or is_recording)):
         raise scene_error(
             path,
-            f"has {height} lines of {width} numbers, which are not rows of a picture; list each "
-            f"pixel once, below the headings x, y, t",
+            f"has {height} lines of {width} numbers, which are not rows of a picture; write a file "
+            f"for each frame, in rows, or each pixel once, below the headings x, y, t",
         )
     return values
 
@@ -190,7 +193,7 @@ def columns_of(line: str, width: int) -> list[int]:
     of unknown name is the temperature. Empty if the line does not say."""
     separator = next((each for each in _SEPARATORS if each in line), ",")
     cells = _cells(line.strip("# "), separator)[-width:]
-    if [cell.casefold() for cell in cells] == _OF_EXTRACTOR:
+    if [cell.casefold().replace(" ", "") for cell in cells[:3]] == _OF_EXTRACTOR:
         return [0, 1, 2]
     found = [_HEADINGS.fullmatch(_NO_HEADING.sub("", cell.casefold())) for cell in cells]
     kinds = [match.lastindex if match else 0 for match in found]

@@ -104,6 +104,12 @@ def typical(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3"]:
     return np.percentile(known[:: 1 + known.size // _ENOUGH], (1, 50, 99))
 
 
+def zeros_are_missing(numbers: Float[np.ndarray, "3"]) -> bool:
+    """Whether a 0 is far from all ``typical`` numbers, as around an image that was warped."""
+    low, _, high = numbers
+    return bool(low > (high - low) / 4)
+
+
 def _is_everyday(unit: Unit, numbers: Float[np.ndarray, "3"]) -> bool:
     return are_everyday(*unit.celsius(numbers).tolist())
 

@@ -38,8 +38,7 @@ def shade(
     floor: float = 0.0,
 ) -> Float[Tensor, "v c"]:
     """``mrgs.field.spherical_harmonics.shade``; all tensors but ``rows`` are float32. ValueError
-    for tensors of other sizes or types, or harmonics above degree 3; IndexError for rows that do
-    not exist."""
+    for tensors of other sizes or types, or harmonics above degree 3; IndexError for other rows."""
     count, channels = len(means), dc.shape[-1]
     require("means", means, (count, 3))
     require("dc", dc, (count, 1, channels))
@@ -168,8 +167,7 @@ def add_direction_gradient(x, y, z, inverse, grad, grad_means, row):
 
 @reordering_inner_function
 def _set_basis(x, y, z, bands, basis):
-    """The 15 basis functions of degrees 1 to 3, as in ``spherical_harmonics``; only ``bands`` of
-    them are set."""
+    """The 15 basis functions of degrees 1 to 3, of which only ``bands`` are set."""
     xx, yy, zz = x * x, y * y, z * z
     if bands >= 3:
         basis[0], basis[1], basis[2] = -_C1 * y, _C1 * z, -_C1 * x

@@ -173,8 +173,7 @@ def shade(
 ) -> Float[Tensor, "v c"]:
     """``mrgs.field.spherical_harmonics.shade`` for float32 on a GPU and all rows, of 1 or 3
     channels; NotImplemented for others, for degree 0, which torch computes at once, and for more
-    coefficients than the kernels can number. ValueError for tensors of other sizes, types or
-    devices."""
+    coefficients than the kernels can number. ValueError for other sizes, types or devices."""
     count, channels, device = len(means), dc.shape[-1], means.device
     bands = min((degree + 1) ** 2 - 1, rest.shape[1])
     if rows is not None or channels not in VARIANTS or not 0 < bands <= sh.MOST_BANDS:

@@ -119,8 +119,7 @@ def _copy_counted(source, weights, result, count):
 
 @inner_function()
 def _enter_derivatives(comparison, row, moments, block, rows, ring):
-    """A row's derivatives by the moments, filtered along it, enter the ring, its 1 − SSIM
-    ``rows``."""
+    """A row's derivatives by the moments, filtered along it, enter the ring, 1 − SSIM ``rows``."""
     height, width = comparison.x.shape
     if not 0 <= row < height:
         _clear_slot(ring, row % TAPS, width)

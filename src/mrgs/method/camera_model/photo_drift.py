@@ -26,8 +26,7 @@ MEDIAN_LOSS = 1.5708
 """Variance of the median over that of the mean, of many normal variables (π / 2)."""
 
 NEARLY_SAME_PLACE = 0.01
-"""Held-out photos this close to a photo's viewpoint are taken for that photo: poses may have been
-aligned since."""
+"""Held-out photos this close to a photo's viewpoint are that photo: it may have been aligned."""
 
 
 class PhotoDrift(PhotoEffect):
@@ -71,8 +70,7 @@ class PhotoDrift(PhotoEffect):
 
     def expected(self, viewpoint: Viewpoint) -> Float[Tensor, ""]:
         """The offset of the photo taken there; of a held-out photo, that between the photos before
-        and after it. 0, which is the mean, for any other place: a drift depends on the time, not on
-        the place."""
+        and after it. 0, which is the mean, for any other place: a drift depends on the time."""
         same = only_one_at(viewpoint_distances([viewpoint], self._viewpoints)[0])
         if same is not None:
             return self.offsets()[same]

@@ -167,8 +167,7 @@ def shift_per_motion(
     camera: Camera, points: Float64[Tensor, "k 3"], centre: Float64[Tensor, "3"]
 ) -> Float64[Tensor, "k 2 6"]:
     """J: how points move in the image, in focal lengths, with a small motion of the world: the
-    derivatives of (x/z, y/z) with respect to a rotation vector about the centre and a
-    translation."""
+    derivatives of (x/z, y/z) by a rotation vector about the centre and a translation."""
     viewmat = camera.viewmat.to(points)
     rotation = viewmat[:3, :3]
     turned = -rotation @ cross_matrix(points - centre)

@@ -79,8 +79,7 @@ class AdaptiveDensityControl(Strategy):
         return _no_views(len(gaussians), gaussians.means.device)
 
     def observe(self, passes: Sequence[ScreenPoints]) -> dict[str, Float[Tensor, " n"]]:
-        """A view's gradient norms, in units of half the image's size (3DGS), and which Gaussians
-        it drew."""
+        """A view's gradient norms, in units of half the image's size (3DGS), and what it drew."""
         norms = []
         for points in passes:
             if points.offset.grad is not None:

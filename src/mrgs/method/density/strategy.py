@@ -61,8 +61,7 @@ class Strategy(ABC):
     """Density control: its settings are fields, its state is passed in and out. Subclass it as a
     frozen dataclass and give an instance to ``train(..., strategy=...)``; to name it in a
     config.yaml, add a field ``name: Literal["..."]``, and it to
-    ``mrgs.method.density.ConfiguredStrategy``. ``max_gaussians`` is the cap on their number, at the
-    start too."""
+    ``mrgs.method.density.ConfiguredStrategy``. ``max_gaussians`` is the cap, at the start too."""
 
     max_gaussians: int = 5_000_000
 

@@ -105,8 +105,7 @@ def photo_contrast(photos: Sequence[Pixels]) -> float:
 
 
 def _second_differences(photo: Pixels, distance_px: int) -> Float[Tensor, " n"]:
-    """Differences at all pixels whose neighbours at that distance are in the photo; NaN where one
-    of these is not valid."""
+    """Differences of pixels with their neighbours at a distance in the photo; NaN where invalid."""
     values = photo.values
     if photo.valid is not None:
         values = torch.where(photo.valid[:, :, None], values, torch.nan)

@@ -71,8 +71,7 @@ def distant_points(
 def _share_of_empty(
     positions: Float64[Tensor, "m 3"], empty: Sequence[tuple[Camera, Bool[Tensor, "rows columns"]]]
 ) -> Float64[Tensor, " m"]:
-    """The share of the photos with a position in their frame that show nothing there; NaN without
-    any."""
+    """The share of the photos with a position in their frame that show nothing; NaN without any."""
     in_frame, nothing = torch.zeros(2, len(positions), dtype=torch.float64)
     for camera, cells in empty:
         pixels, _ = camera.project(positions)
@@ -85,8 +84,7 @@ def _share_of_empty(
 def _empty_cells(
     camera: Camera, positions: Float64[Tensor, "n 3"]
 ) -> Bool[Tensor, "rows columns"] | None:
-    """The cells without start points in them or in their eight neighbours; None with too few to
-    tell."""
+    """The cells without start points in them or in their neighbours; None with too few to tell."""
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     pixels, _ = camera.project(positions)
     seen = pixels[camera.contains(pixels)]

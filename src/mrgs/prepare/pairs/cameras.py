@@ -31,8 +31,7 @@ _OTHER_LENS = 1.2
 
 
 UNKNOWN_CAMERA = "does not say which camera took it"
-"""Why a thermal photo is left out whose file names no camera and whose size fits several or
-none."""
+"""Why a thermal photo is left out whose file names no camera and whose size fits none alone."""
 
 
 def check_cameras(

@@ -31,8 +31,7 @@ _RANK_S = 1e-5
 @dataclass(frozen=True)
 class ClockOffset:
     """Offset between the clocks of two cameras: time on the first minus time on the second, at the
-    same moment; the number of pairs with this offset; and another one with nearly as many, None if
-    there is none."""
+    same moment; the number of pairs with this offset; and another one with nearly as many."""
 
     seconds: float
     pairs: int

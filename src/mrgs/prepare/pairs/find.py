@@ -88,6 +88,11 @@ def find_pairs(
     pairs = [pair for pair in match.pairs if pair.reference in kept]
     pairs = [pair for pair in pairs if pair.partner or pair.embedded] or pairs
     warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory, camera))
+    shades = {pair.reference.origin.name for pair in pairs if not pair.reference.is_thermal}
+    finished = [each for each in inventory.references if each.is_thermal]
+    if passed := [each.name for each in finished if each.origin.name in shades]:
+        told = f"{passed[0]} holds numbers, and a picture of its name is used: move one of them"
+        warnings += (f"{told}, and all others like it, elsewhere.",)
     unread = [item.name for item in inventory.skipped if NOT_READ in item.reason]
     if unread and not any(pair.partner or pair.embedded for pair in pairs):
         warnings += (

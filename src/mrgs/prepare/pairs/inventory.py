@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
@@ -26,7 +26,15 @@ from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.data.radiometric.table import columns_of, numbers_in
 from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import Progress, Skipped
-from mrgs.prepare.pairs.photo import PREVIEW_FOLDERS, Photo, folder_modality, natural, told_apart
+from mrgs.prepare.pairs.photo import (
+    NO_PHOTOS,
+    PREVIEW_FOLDERS,
+    Photo,
+    folder_modality,
+    moment_of,
+    natural,
+    told_apart,
+)  # fmt: skip
 from mrgs.scene import Modality
 from mrgs.system.disk import open_regular
 
@@ -45,6 +53,9 @@ _LOG = re.compile(r"(?i)^\D*\blat(?:itude)?\b\D*\b(?:lon|lng|long|longitude)\b\D
 _EPOCH = re.compile(r"(?:.*\D)?(1[3-9]\d{8})(?:\D?(\d{3,9}))?")
 """Seconds since 1970 at the end of a name, from 2011 on, as recordings of robots write them."""
 
+_CLOCK = re.compile(r"(?:.*\D)?(20\d\d)" + 5 * r"\D?(\d\d)" + r"(?:\D?(\d{3,6}))?")
+"""Date and time at the end of a name."""
+
 _UNSUPPORTED = {
     ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".gpr", ".cr2", ".cr3", ".nef",
     ".nrw", ".arw", ".raf", ".orf", ".rw2", ".rwl", ".pef", ".srw", ".sr2", ".3fr", ".iiq", ".erf",
@@ -62,6 +73,9 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
     its path below the folder of photos. ``1_T.JPG.tiff`` was converted from ``1_T.JPG``."""
     suffix = path.suffix.lower()
     origin = PurePosixPath(without_image_suffix(relative.with_suffix("").as_posix()))
+    named = {*map(str.lower, relative.parts[:-1]), origin.name.lower().rpartition("_")[2]}
+    if said := named & NO_PHOTOS:
+        return f"is not a photo, but {min(said)} by its name"
     try:
         data = _head(path)
         if not data:
@@ -77,14 +91,23 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         photo = _PHOTOS[reader.kind](path, origin, data)
         if isinstance(photo, str):
             return photo
-        if photo.exif.taken is None and (stamp := _EPOCH.fullmatch(origin.name)):
-            moment = float(stamp[1]) + float(f"0.{stamp[2] or 0}")
-            taken = datetime.fromtimestamp(moment, timezone.utc).replace(tzinfo=None)
-            photo = replace(photo, exif=replace(photo.exif, taken=taken, zone_s=0.0))
+        if photo.exif.taken is None:
+            taken, zone_s = _time_in(origin.name)
+            photo = replace(photo, exif=replace(photo.exif, taken=taken, zone_s=zone_s))
         name = printable(relative.as_posix())
         return replace(photo, needs_tool=reader.needs_tool, name=name)
     except SceneError as error:
         return str(error).removeprefix(f"{path}: ")
+
+
+def _time_in(name: str) -> tuple[datetime | None, float | None]:
+    """The time at the end of a name, and its zone's, seconds ahead of UTC; None if not known."""
+    if found := _EPOCH.fullmatch(name):
+        moment = float(found[1]) + float(f"0.{found[2] or 0}")
+        return datetime.fromtimestamp(moment, timezone.utc).replace(tzinfo=None), 0.0
+    if (found := _CLOCK.fullmatch(name)) and (whole := moment_of("".join(found.groups()[:6]))):
+        return whole + timedelta(seconds=float(f"0.{found[7] or 0}")), None
+    return None, None
 
 
 def _head(path: Path) -> bytes:
@@ -201,8 +224,7 @@ class Inventory:
 
 
 def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
-    """All files below a folder. SceneError if the folder cannot be listed, or has no file that can
-    be a photo."""
+    """All files below a folder. SceneError if it cannot be listed, or has no possible photo."""
     if not root.is_dir():
         raise scene_error(root, "not a folder; give the photos' folder")
     photos, skipped = [], []

@@ -22,7 +22,7 @@ REFERENCE, PARTNER = THERMAL, RGB
 _THERMAL_WORDS = {
     "thermal", "therm", "thrm", "thermo", "thermogram", "thermograms", "thermography",
     "radiometric", "ir", "irx", "tir", "lwir", "infrared", "temperature", "temperatures",
-    "celsius", "8b",
+    "celsius", "8b", "thr",
 }  # fmt: skip
 _RGB_WORDS = {
     "rgb", "vis", "visible", "visual", "color", "colour", "dc", "eo", "wide", "zoom", "scrn",
@@ -32,8 +32,14 @@ _WORDS = {THERMAL: _THERMAL_WORDS, RGB: _RGB_WORDS}
 _PHOTO_WORDS = {"image", "images", "photo", "photos"}
 """Folders with these names hold RGB photos, unless something else in the name says thermal."""
 
-_FILLERS = {"image", "img", "photo", "picture", "thumb", "thumbnail", "value", "values", "data"}
+_FILLERS = {
+    "image", "img", "photo", "picture", "thumb", "thumbnail", "value", "values", "data", "raw",
+    "temp", "temps", "tiff", "csv", "npy", "16bit", "color", "colour",
+}  # fmt: skip
 """Words that may follow a camera suffix at the end of a name: ``IR_0001_rgb_image``."""
+
+NO_PHOTOS = {"depth", "depths", "disp", "disparity", "label", "labels", "mask", "masks", "normals"}
+"""Folders with these names, and files that end with them, hold something else than photos."""
 
 PREVIEW_FOLDERS = {"preview", "previews", "thumb", "thumbs", "thumbnail", "thumbnails"}
 """Images there are previews of the thermal photos of their names."""
@@ -55,6 +61,9 @@ _LAST_LETTER = re.compile(
 )
 """After a number any of these letters, but for the Z of ``20240131T120000Z``; after a word only T:
 ``house_w`` may be the west side."""
+
+_BEHIND_T = re.compile(rf"(?i)(?<=\d[_\-]t)[_\-](?:{'|'.join(_FILLERS | _THERMAL_WORDS)})$")
+"""What was made from a thermal photo of DJI's: ``DJI_0001_T_celsius``."""
 
 _LAST_R = re.compile(r"(?:(?<=\d)[_\-]r|[_\-]rad)$", re.IGNORECASE)
 _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?", re.IGNORECASE)
@@ -123,12 +132,13 @@ class StemFacts:
 def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
     """The facts in a stem. If the file is ``radiometric``, thermal by content, then an ``_R`` or
     ``_RAD`` at the end marks it as thermal, too (FLIR Duo, DJI XT2, Workswell)."""
+    stem = _BEHIND_T.sub("", stem)
     if radiometric and (found := _LAST_R.search(stem)):
         return StemFacts(stem[: found.start()], THERMAL, "r")
     if (found := _STAMPED.fullmatch(stem)) and (modality := _modality_of(found[4])) is not None:
         stripped = (part.strip("_-") for part in (found[1], found[3], found[5] or ""))
         key = "_".join(part for part in stripped if part)
-        return StemFacts(key, modality, found[4].lower(), _moment(found[2]))
+        return StemFacts(key, modality, found[4].lower(), moment_of(found[2]))
     if found := _LAST_LETTER.search(stem):
         mark = (found["camera"] or found["thermal"]).lower()
         return StemFacts(stem[: found.start()], _LETTERS[mark], mark)
@@ -137,6 +147,8 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
     for index in reversed(range(len(parts))):
         mark = named[index][0].lower()
         modality = _modality_of(mark) if len(mark) > 1 else None
+        if mark in _FILLERS and index and named[index - 1][0].lower() in _THERMAL_WORDS:
+            continue  # 0001_thermal_color is in false colours
         if modality is not None:
             # IR0001_visible belongs to IR0001, 0001_ir_celsius to 0001_rgb, and Autel's
             # MAX_0001_IR to MAX_0001.
@@ -163,7 +175,8 @@ def _modality_of(word: str) -> Modality | None:
     return next((each for each, words in _WORDS.items() if word in words), _LETTERS.get(word))
 
 
-def _moment(digits: str) -> datetime | None:
+def moment_of(digits: str) -> datetime | None:
+    """The time in 14 digits, ``20240131120000``; None if it is none."""
     try:
         return datetime.strptime(digits, "%Y%m%d%H%M%S")
     except ValueError:

@@ -193,8 +193,7 @@ def _instead(candidates: Sequence[Candidate], used: Sequence[Photo | None]) -> d
 
 
 def by_numbers(photos: Sequence[Photo]) -> Match | None:
-    """FLIR's ``IR_0001`` and ``DC_0002``: the photo in visible light is the next file, or the one
-    before."""
+    """FLIR's ``IR_0001`` and ``DC_0002``: the RGB photo is the next file, or the one before."""
     references, partners = _grouped(candidate_by_name(photo) for photo in photos)
     best: list[Pair] = []
     word = "next"

@@ -73,8 +73,7 @@ def saddle_near(
     image: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "2"], reach_px: float
 ) -> Float[np.ndarray, "2"] | None:
     """The place within reach of a pixel x, y where two bright and two dark quarters meet, to a
-    fraction of a pixel, the nearest of several; None if there is none that stands out from what is
-    around."""
+    fraction of a pixel, the nearest of several; None if none stands out from what is around."""
     margin = reach_px + _AROUND_PX
     corner = np.maximum(np.floor(pixel - margin), 0).astype(int)
     (left, top), (right, bottom) = corner, np.ceil(pixel + margin).astype(int)

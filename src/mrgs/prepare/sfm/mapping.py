@@ -356,8 +356,7 @@ def _models(
 
 
 def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Path) -> None:
-    """Positions, colours (0 to 255), and which image sees which point: rows of (place in ``files``,
-    row of a point)."""
+    """Positions, colours (0 to 255), and which image sees which point: rows of (file, point)."""
     places = {name: place for place, name in enumerate(files)}
     points = [model.points3D[number] for number in sorted(model.points3D)]
     seen = {

@@ -71,8 +71,7 @@ def pairs_to_match(
 ) -> list[tuple[int, int]]:
     """All pairs of a small set; else each image with those taken nearest to it, or where that is
     not known, with those taken before and after it and those most like it. Images are numbered in
-    the order in which they were taken; their ``descriptors`` are only read where likeness
-    decides."""
+    the order in which they were taken; ``descriptors`` are only read where likeness decides."""
     if count <= MAX_EXHAUSTIVE:
         return list(combinations(range(count), 2))
     if positions is not None and are_informative(positions):

@@ -37,8 +37,7 @@ _SLOT_CHANNELS = (3, 1)
 
 class _FusedPass(torch.autograd.Function):
     """(means, quats, scales, opacities [N, 2], features [N, 4], backgrounds [4], offset [N, 2],
-    projection, whether gradients are wanted) -> images (features, depth, T_end of both slots),
-    radii."""
+    projection, whether gradients are wanted) -> images (features, depth, T_end of both), radii."""
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:

@@ -143,8 +143,7 @@ def _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts):
 
 @strict_kernel()
 def _prefix_sums(chunk_counts, pair_counts):
-    """Counts -> starts, in place for the chunks: the tiles one after the other, in each the chunks
-    in their order."""
+    """Counts -> starts, in place for the chunks: tile after tile, in each the chunks in order."""
     tiles = chunk_counts.shape[1]
     tile_starts = np.empty(tiles + 1, np.int64)
     total = 0
