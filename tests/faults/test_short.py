@@ -56,7 +56,7 @@ def test_damaged_thermal_photos(tmp_path):
 
 
 def test_texts_that_are_almost_right(tmp_path):
-    assert holds(texts.attacks(tmp_path, 1_000))
+    assert holds(texts.attacks(tmp_path, 300))
 
 
 @pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")

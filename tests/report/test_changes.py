@@ -304,7 +304,11 @@ def test_changes_have_names_of_their_own(first, second, found):
 
 @pytest.mark.parametrize(
     ("language", "said"),
-    [("en", "not used: Pane."), ("de", "angewendet: Pane."), ("fr", "appliqués : Pane.")],
+    [
+        ("en", "not used: Pane."),
+        pytest.param("de", "angewendet: Pane.", marks=pytest.mark.slow),
+        pytest.param("fr", "appliqués : Pane.", marks=pytest.mark.slow),
+    ],
 )
 def test_what_only_the_second_runs_marks_state_is_said(
     first, second, found, tmp_path, language, said
