@@ -85,17 +85,22 @@ def test_whole_numbers_among_those_with_a_point_stay_whole(tmp_path, digits, see
     np.testing.assert_allclose(found[:, -160:], celsius, atol=1e-5)
 
 
-@pytest.mark.parametrize(("frames", "pixels"), [(1, 768), (30, 768), (5, 80)])
+def test_a_point_in_a_line_beside_the_table_leaves_decimal_commas(tmp_path):
+    heading = "y," + ",".join(f"{i / 10}" for i in range(2 * TABLE_C.shape[1])) + "\n"
+    found = read(tmp_path, heading + numbers(TABLE_C, ",", ","))
+    np.testing.assert_allclose(found, TABLE_C, atol=1e-5)
+
+
+@pytest.mark.parametrize(("frames", "pixels"), [(1, 768), (30, 768), (4, 80)])
 def test_frames_in_lines_are_no_picture(tmp_path, frames, pixels):
     lines = (",".join(f"{20 + i / 50:.2f}" for i in range(pixels)) + "\n" for _ in range(frames))
     with pytest.raises(SceneError, match="a file for each frame"):
         read(tmp_path, "".join(lines))
 
 
-@pytest.mark.parametrize("suffix", [".asc", ".dat"])
-def test_other_suffixes_of_tables(tmp_path, suffix):
-    (tmp_path / f"a{suffix}").write_text(numbers(TABLE_C, "\t", ","))
-    photo = read_thermal_photo(tmp_path / f"a{suffix}")
+def test_a_table_may_be_named_asc(tmp_path):
+    (tmp_path / "a.asc").write_text(numbers(TABLE_C, "\t", ","))
+    photo = read_thermal_photo(tmp_path / "a.asc")
     np.testing.assert_allclose(photo.temperature_c, TABLE_C, atol=1e-5)
 
 

@@ -269,7 +269,20 @@ def test_zeros_around_a_warped_photo_are_missing(tmp_path):
     photo = read_thermal_photo(write_tiff(tmp_path / "a.tif", warped))
     assert not photo.valid[:3].any()
     assert photo.valid[3:].all()
-    assert any("exactly 0" in note for note in photo.facts.notes)
+    assert any("exactly 0" in note for note in photo.facts.warnings)
+
+
+@pytest.mark.parametrize("bounds", [(), (0, 40)])
+def test_a_cold_place_is_no_missing_one(tmp_path, bounds):
+    """Its edge has all temperatures between; and bounds from 0 °C on may mean 0 °C."""
+    celsius = SCENE_C + np.float32(10)
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    away = np.hypot(rows - HEIGHT / 2, columns - WIDTH / 2).astype(np.float32)
+    celsius *= np.clip((away - 2) / (4 if not bounds else 0.01), 0, 1)
+    assert (celsius == 0).any()
+    found, valid, _ = ThermalScene(tmp_path, celsius).loaded(*bounds)
+    assert valid.all()
+    np.testing.assert_allclose(found, celsius, atol=1e-4)
 
 
 def test_shades_as_floats_are_doubted(tmp_path):

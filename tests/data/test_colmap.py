@@ -81,6 +81,13 @@ def test_thermalmix(writer):
     )
 
 
+def test_warped_images_elsewhere_are_not_taken(writer):
+    for folder, mode in (("rgb", "RGB"), ("thermal", "F"), ("warped_thermal", "L")):
+        writer.image(f"{folder}/a.{'tiff' if mode == 'F' else 'png'}", mode)
+    writer.colmap(["a.png"], binary=True)
+    assert load_scene(writer.root).temperature is not None
+
+
 def test_names_in_the_model_may_be_bare_stems(writer):
     for index in range(4):
         writer.image(f"rgb/{('train', 'test')[index % 2]}/{index}.png", seed=index)

@@ -68,12 +68,18 @@ def test_an_array_of_numpy_is_an_image(tmp_path, dtype, shape, kind, white, orde
     assert (valid, found) == (None, kind)
 
 
+def test_an_array_of_truth_values_is_a_mask(tmp_path):
+    mask = np.eye(9, 12).astype(bool)
+    np.save(tmp_path / "a.npy", mask)
+    assert torch.equal(decode_mask(tmp_path / "a.npy"), torch.from_numpy(mask))
+
+
 @pytest.mark.parametrize(
     ("array", "message"),
     [
         (np.zeros((4, 9, 12)), r"an array \[4, 9, 12\] of float64"),
         (np.zeros((40, 7)), r"\[40, 7\]"),
-        (np.zeros((9, 12), bool), "of bool"),
+        (np.zeros((9, 12), complex), "of complex"),
         (np.zeros((9, 12), np.int16), "pixels of type I"),
         (np.full((9, 12), None), "allow_pickle"),
     ],

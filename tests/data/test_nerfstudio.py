@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -528,6 +529,56 @@ def test_images_that_are_frames_of_their_own_are_no_partners(writer):
             (image,) = view.images.values()
             assert image.camera.K[0, 0] == (40 if THERMAL in view.images else 20)
             assert view.name == f"{('images', 'thermal')[at % 2]}_{indices[at // 2]:02d}"
+
+
+@pytest.mark.parametrize(
+    "form", ["images/{:04d}/rgb.png", "images/{:04d}/left.png", "b/images/{:04d}.png"]
+)
+def test_folders_of_other_meanings_change_no_split(writer, form):
+    names = [form.format(index) for index in range(9)]
+    names += [name.replace("left", "right").replace("b/", "a/") for name in names]
+    for name in (names := [*dict.fromkeys(names)]):
+        writer.image(name)
+    lens = {"fl_x": 20.0, "w": 24, "h": 16}
+    frames = [
+        {"file_path": name, "transform_matrix": orbit_pose(0.1 * at).tolist()}
+        for at, name in enumerate(names)
+    ]
+    writer.transforms({**lens, "frames": frames})
+    scene = load_scene(writer.root)
+    assert len(scene.eval) == -(-len(names) // 8)
+    assert len(scene.train) + len(scene.eval) == len(names)
+
+
+def test_arrays_beside_photos_are_not_looked_at(writer):
+    """As features, or depths, of NeRF-like scenes, whose frames name no extensions."""
+    writer.image("images/a.png")
+    np.save(writer.root / "images/a.npy", np.zeros((16, 24, 8)))
+    pose = orbit_pose(0.0).tolist()
+    lens = {"fl_x": 20.0, "w": 24, "h": 16}
+    writer.transforms({**lens, "frames": [{"file_path": "images/a", "transform_matrix": pose}]})
+    assert load_scene(writer.root).train[0].images[RGB].load().values.shape == (16, 24, 3)
+
+
+@pytest.mark.parametrize(("val", "counts"), [("train", [3, 3]), ("test", [3, 3]), ("own", [3, 4])])
+def test_a_validation_split_may_be_that_of_another(writer, splits, val, counts):
+    content = json.loads(
+        (splits / f"transforms_{'test' if val == 'own' else val}.json").read_text()
+    )
+    if val == "own":
+        writer.image("val/r_0.png")
+        content["frames"] = [{**content["frames"][0], "file_path": "./val/r_0"}]
+    writer.json("transforms_val.json", content)
+    scene = load_scene(splits)
+    assert [len(scene.train), len(scene.eval)] == counts
+
+
+def test_a_frame_of_both_splits_is_held_out(writer, splits):
+    content = json.loads((splits / "transforms_test.json").read_text())
+    content["frames"].append({**content["frames"][0], "file_path": "./train/r_1"})
+    writer.json("transforms_test.json", content)
+    scene = load_scene(splits)
+    assert [len(scene.train), len(scene.eval)] == [2, 4]
 
 
 @pytest.mark.parametrize("folder", ["infrared", "ir", "lwir"])

@@ -112,9 +112,8 @@ def note_gpu(device: torch.device) -> None:
 def note_unfinished(run: Run) -> None:
     """Warn that the run is unfinished and its newest checkpoint is used."""
     if run.facts.step < run.config.max_steps:
-        print_note(
-            f"the run is at step {run.facts.step:,} of {run.config.max_steps:,}; using its newest"
-        )
+        step, last = run.facts.step, run.config.max_steps
+        print_note(f"the run is at step {step:,} of {last:,}; using its newest checkpoint")
 
 
 def cropped(run: Run, crop: Corners | None = None, outlines: Outlines | None = None) -> Run:

@@ -285,14 +285,10 @@ def _text_point(line: str) -> tuple[float, ...]:
 
 FOLDERS = {
     RGB: ("rgb", "images"),
-    THERMAL: (
-        "warped_thermal", "thermal", "infrared", "ir", "tir", "lwir", "thermal_images",
-        "images_thermal",
-    ),
-}  # fmt: skip
-"""Possible folders of each modality's images; the first that exists is used, of other thermal ones
-than ``thermal`` only if they have names of the RGB images. ThermalMix's ``warped_thermal`` holds
-images as the RGB camera sees them."""
+    THERMAL: ("thermal", "infrared", "ir", "tir", "lwir", "thermal_images", "images_thermal"),
+}
+"""Possible folders of each modality's images; the first that exists is used, of the further thermal
+ones only if they have names of the RGB images."""
 
 _THERMAL_WORD, _WORD = (
     re.compile(rf"(?i)(?<![a-z])(?:{'|'.join(names)})(?![a-z])[_\-. /]*")
@@ -373,9 +369,13 @@ def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list
     """The image files of each modality that has any, RGB first."""
     images: list[_Images] = []
     for modality, names in FOLDERS.items():
+        if modality == THERMAL and (root / "colmap_sparse").is_dir():  # ThermalMix
+            names = ("warped_thermal", *names)
         there = [on_disk(root, name) for name in names]
         name = next((name for name in there if (root / name).is_dir()), "")
         files = finder.tree(root / name) if name else {}
+        if modality == RGB:
+            files = {key: path for key, path in files.items() if path.suffix.lower() != ".npy"}
         is_usual = modality == RGB or name.lower() == "thermal" or not images
         if files and (is_usual or files.keys() & images[0].files.keys()):
             images.append(_Images(modality, name, files, {key: key for key in files}))
@@ -412,7 +412,7 @@ def _match(
     notes: ReadingNotes,
 ) -> Registered:
     """The image files of the registered images; of several formats, the registered one. A name that
-    is a whole path, or starts with a folder, is looked up there, else among the RGB images."""
+    is a whole path, or starts with a folder, is looked up there first, else among RGB first."""
     found: Registered = {}
     for image in registered:
         folder = PurePosixPath(image.name).parts[:1]

@@ -161,7 +161,7 @@ class _Listing:
     by_stem: Mapping[str, list[str]]
 
 
-_FORMATS = (".tiff", ".tif", ".npy", ".png", ".jpg", ".jpeg")
+_FORMATS = (".tiff", ".tif", ".png", ".jpg", ".jpeg", ".npy")
 """Formats of images in order of preference, if several have one name: a JPEG is often a preview."""
 
 

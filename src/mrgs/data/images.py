@@ -60,7 +60,7 @@ Kind = Literal["grey", "colour", "float"]
 """One channel of integers, three channels of integers, or one channel of numbers: a TIFF of floats,
 or of integers with a scale; an array."""
 
-NPY_SIGNATURE = b"\x93NUMPY"
+FORMATS, NPY_SIGNATURE = ("PNG", "JPEG", "TIFF"), b"\x93NUMPY"
 _LEAST_SIDE = 8
 """Arrays with fewer rows or columns are no images."""
 
@@ -300,7 +300,7 @@ def kind_of(image: Image.Image, path: Path) -> Kind:
 
 @contextmanager
 def opened(
-    path: Path, content: bytes | None = None, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")
+    path: Path, content: bytes | None = None, formats: tuple[str, ...] = FORMATS
 ) -> Iterator[Image.Image]:
     """Pillow's image; every failure of opening or decoding it is a SceneError. ``content`` is an
     image found in the file, None for the file; ``formats`` are those let in, by Pillow's names."""
@@ -322,7 +322,7 @@ def opened(
                         image = _opened_by_gdal(file, path, most_pixels, image.mode == "I")
                 except UnidentifiedImageError:
                     file.seek(0)
-                    is_array = file.read(len(NPY_SIGNATURE)) == NPY_SIGNATURE
+                    is_array = formats == FORMATS and file.read(6) == NPY_SIGNATURE
                     read = _opened_array if is_array else _opened_by_gdal
                     image = read(file, path, most_pixels)
             with image:
@@ -371,13 +371,15 @@ def _opened_array(file: BinaryIO, path: Path, most_pixels: int) -> Image.Image:
     if array.size > most_pixels:
         raise Image.DecompressionBombError
     values = array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array
-    is_image = values.ndim == 2 and min(values.shape) >= _LEAST_SIDE and values.dtype.kind in "fiu"
+    is_image = values.ndim == 2 and min(values.shape) >= _LEAST_SIDE and values.dtype.kind in "fiub"
     if not is_image:
         raise scene_error(
             path,
             f"holds an array {[*array.shape]} of {array.dtype}; save the numbers of one image, "
             f"[height, width]",
         )
+    if values.dtype.kind == "b":  # a mask
+        values = 255 * values.astype(np.uint8)
     kind = np.dtype(np.float32) if values.dtype.kind == "f" else np.dtype(np.int32)
     if values.dtype.kind == "u" and values.dtype.itemsize <= 2:
         kind = values.dtype.newbyteorder("=")

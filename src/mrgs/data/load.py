@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -19,7 +20,7 @@ import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
-from mrgs.data.colmap import MODEL_FOLDERS, largest_model, read_colmap
+from mrgs.data.colmap import FOLDERS, MODEL_FOLDERS, largest_model, read_colmap
 from mrgs.data.files import Number, contained, on_disk, read_json_object
 from mrgs.data.images import Decoded, Kind, decode, probe, with_channels
 from mrgs.data.nerfstudio import find_transforms, read_transforms
@@ -200,10 +201,12 @@ def _meaning_of(source: SceneSource, temperature: TemperatureRange | None) -> Nu
     arrays = [each.values[..., 0].numpy() for each in some if each.kind == "float"]
     known = [row for row in map(typical, arrays) if np.isfinite(row).all()]
     low, _, high = usual = np.median(known or np.full((1, 3), np.nan), axis=0)
-    without_zeros = zeros_are_missing(usual) and any((array == 0).any() for array in arrays)
+    has_zero = temperature is not None and temperature.min_c <= 0 <= temperature.max_c
+    is_share = bool(low >= 0 and high <= 1) and (temperature is None or temperature.span_c > 3)
+    without_zeros = (is_share or not has_zero) and any(map(zeros_are_missing, arrays))
     if without_zeros:
         source.notes.repair("Pixels of exactly 0 in the thermal images are taken for missing ones.")
-    if bool(low >= 0 and high <= 1) and (temperature is None or temperature.span_c > 3):
+    if is_share:
         return Numbers(_unit_of_shares(source.notes, temperature), without_zeros)
     if {("kelvin",), ("celsius",)} <= {tuple(everyday(FLOAT_UNITS, row)) for row in known}:
         source.notes.repair(
@@ -232,7 +235,7 @@ def _unit_of(
     if temperature is None and not likely and np.isfinite(numbers).all():
         notes.repair(
             f"The numbers of the thermal images ({numbers[0]:.5g} to {numbers[2]:.5g}) are taken "
-            f"for °C; if they are, add temperature_bounds.json with their range."
+            f"for °C; add temperature_bounds.json with their range if they are, or write °C."
         )
     if temperature is not None:
         middles = {text: Unit.parse(text).celsius(numbers)[1] for text in FLOAT_UNITS}
@@ -321,17 +324,14 @@ def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes
         return [side or "train" for side in sides]
     if len(keys) == 1:
         return ["train"]
-    notes.decide(
-        Message(
-            "No split is given: every {number}th view, in the order of the names, is held out.",
-            number=f"{EVAL_EVERY}",
-        )
-    )
-    names = [key.rpartition("/")[2] for key in keys]
-    if len({*names}) == len(names):
-        names = [*keys]  # else images of one name, as of two cameras, go together
-    held_out = {*sorted({*names})[::EVAL_EVERY]}
-    return ["eval" if name in held_out else "train" for name in names]
+    text = "No split is given: every {number}th view, in the order of the names, is held out."
+    notes.decide(Message(text, number=f"{EVAL_EVERY}"))
+    # The images of two cameras go together.
+    named = {*chain(*FOLDERS.values())}
+    parts = ([part for part in key.split("/") if part.lower() not in named] for key in keys)
+    places = ["/".join(each) for each in parts]
+    held_out = {*sorted({*places})[::EVAL_EVERY]}
+    return ["eval" if place in held_out else "train" for place in places]
 
 
 def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes) -> list[Split]:

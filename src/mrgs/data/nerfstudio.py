@@ -12,6 +12,7 @@ read as one scene.
 
 from __future__ import annotations
 
+import json
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -80,6 +81,7 @@ _REFUSED = (
 """Keys of nerfstudio, instant-ngp and others that change what the rest means, and are not read."""
 _SPLIT_FILES = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
 """Files of one split each; the last two are held out."""
+_HELD_OUT = "mrgs_held_out"
 _LEGACY_APPLIED_TRANSFORM = np.array(
     [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 )
@@ -139,7 +141,8 @@ def _of_lens(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _folders(modality: Modality) -> tuple[str, ...]:
     """How folders with images of a modality may be named."""
-    return *FOLDERS.get(modality, ()), modality.name, f"images_{modality}", f"{modality}_images"
+    own = modality.name, f"images_{modality}", f"{modality}_images"
+    return *own, *FOLDERS.get(modality, ())
 
 
 def _content(root: Path, file: Path) -> dict[str, Any]:
@@ -148,16 +151,20 @@ def _content(root: Path, file: Path) -> dict[str, Any]:
     content = read_json_object(file)
     if file.name != _SPLIT_FILES[0]:
         return content
-    held_out: list[dict[str, Any]] = []
+    frames = json_value(list[dict[str, Any]], content.get("frames"), '"frames"', file)
+    known = {json.dumps(frame.get("file_path")): at for at, frame in enumerate(frames)}
     for name in filter(lambda name: is_file(root / name), _SPLIT_FILES[1:]):
         other = read_json_object(contained(root, name, root))
-        frames = json_value(list[dict[str, Any]], other.get("frames"), '"frames"', root / name)
-        held_out += [{**_of_lens(other), **frame} for frame in frames]
-    if held_out:
-        frames = json_value(list[Any], content.get("frames"), '"frames"', file)
-        content["frames"] = [*frames, *held_out]
-        names = (frame.get("file_path", frame.get("thermal_file_path", "")) for frame in held_out)
-        content["test_filenames"] = [*names]
+        cameras = {key: value for key, value in other.items() if key.endswith("_camera")}
+        own = json_value(list[dict[str, Any]], other.get("frames"), '"frames"', root / name)
+        for frame in own:
+            at = known.setdefault(json.dumps(frame.get("file_path")), len(frames))
+            held_out = {**_of_lens(other), **cameras, **frame, _HELD_OUT: True}
+            if at == len(frames):
+                frames.append(held_out)
+            elif name == _SPLIT_FILES[2]:  # a validation split may be that of the training
+                frames[at] = held_out
+    content["frames"] = frames
     return content
 
 
@@ -173,6 +180,7 @@ class _TransformsReader:
         self.modalities = self._modalities()
         self._top_lens = _of_lens(self.top)
         self._lenses: dict[str, Lens] = {}
+        self._held_out: list[str] = []
 
     def _modalities(self) -> tuple[Modality, ...]:
         """Modalities of the frames: the known ones, and those that the file lists."""
@@ -226,6 +234,8 @@ class _TransformsReader:
         first = next(iter(paths.values()))
         key = without_image_suffix(composed(first.relative_to(self.root).as_posix()))
         what = f"{what} ({shown(key)})"
+        if _HELD_OUT in frame:
+            self._held_out.append(key)
         images = {
             modality: self._source(modality, frame, path, what) for modality, path in paths.items()
         }
@@ -342,6 +352,8 @@ class _TransformsReader:
             names = json_value(list[str] | None, self.top.get(name), name, self.file)
             return None if names is None else frozenset(map(key_of, names))
 
+        if self._held_out:
+            return FilenameLists(None, frozenset(self._held_out))
         held_out = [keys("val_filenames"), keys("test_filenames")]
         named = [each for each in held_out if each is not None]
         return FilenameLists(keys("train_filenames"), frozenset().union(*named) if named else None)

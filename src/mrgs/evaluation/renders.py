@@ -135,7 +135,7 @@ def find_renders(folder: Path, scene: Scene) -> Renders:
         possible += [f"{modality}_normalised"] if modality.is_metric else []
         found = [name for name in possible if (folder / name).is_dir()]
         place = folder / next(iter(found), modality.name)
-        suffixes = IMAGE_SUFFIXES if place.name == modality.name else FLOAT_SUFFIXES
+        suffixes = IMAGE_SUFFIXES - {".npy"} if place.name == modality.name else FLOAT_SUFFIXES
         files = _files(place, names, suffixes)
         if files is not None:
             images[modality] = files

@@ -49,8 +49,7 @@ ONE_SURFACE = 0.95
 """Share of a mark from which on it counts as lying on one surface."""
 
 STANDING_OUT_C, STANDING_OUT_SHARE = 1.0, 0.03
-"""Smallest difference of a narrow place to what is beside it that is remarked: K, or without °C a
-share of the range."""
+"""Smallest difference of a narrow place to what is beside it: K, or a share of the range."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,7 +47,7 @@ Box: TypeAlias = tuple[float, float, float, float]
 
 class Scale(NamedTuple):
     """The meaning of a map's colours: values of the first and the last colour, the first larger
-    where the palette runs the other way, the unit after the largest number, and the sign."""
+    where the palette runs the other way, the unit after the largest, the decimal sign."""
 
     palette: PaletteName
     low: float

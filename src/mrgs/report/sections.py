@@ -1,5 +1,4 @@
-"""The contents of the report's sections, for its template: survey, conditions, capture, settings,
-scores, training."""
+"""The report's sections, for its template: survey, conditions, capture, settings and so on."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def skipped_in_a_row_of(header: Mapping[str, Any]) -> int:
 
 @contextmanager
 def fitting(path: Path) -> Iterator[None]:
-    """Within this block tensors of a checkpoint are used. RunError if they do not fit the run's."""
+    """Around the use of a checkpoint's tensors. RunError if they do not fit the configuration."""
     try:
         yield
     except (KeyError, RuntimeError, TypeError, ValueError) as error:

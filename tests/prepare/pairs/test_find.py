@@ -415,10 +415,24 @@ def test_arrays_are_thermal_photos_and_other_arrays_are_left_out(photos):
     celsius = np.linspace(5, 30, 9 * 12, dtype=np.float32).reshape(9, 12)
     content = {f"rgb/{i}.jpg": "jpg" for i in range(3)}
     content |= {f"thermal/{i}.npy": npy(celsius) for i in range(3)}
-    root = photos(content | {"poses.npy": npy(np.zeros((3, 4, 4)))})
+    content |= {f"rgb/{i}.npy": npy(celsius) for i in range(3)}  # depths, for instance
+    root = photos(content | {"thermal/poses.npy": npy(np.zeros((3, 4, 4)))})
     found = find_pairs(root, PrepareOptions())
     assert files(root, found) == [(f"rgb/{i}.jpg", f"thermal/{i}.npy") for i in range(3)]
-    assert_left_out(found, {"poses.npy": "[3, 4, 4]"})
+    left_out = {f"rgb/{i}.npy": "not thermal by its name" for i in range(3)}
+    assert_left_out(found, left_out | {"thermal/poses.npy": "[3, 4, 4]"})
+
+
+def test_of_several_files_of_a_thermal_photo_alone_the_best_is_used(photos):
+    content = {f"{i}_ir.tif": "celsius" for i in range(4)}
+    found = find_pairs(photos(content | {f"{i}_ir_color.jpg": "jpg" for i in range(4)}))
+    assert [pair.photos[THERMAL].name for pair in found.pairs] == [f"{i}_ir.tif" for i in range(4)]
+    assert_left_out(found, {f"{i}_ir_color.jpg": "used instead" for i in range(4)})
+
+
+def test_folders_above_those_of_the_cameras_may_have_any_name(photos):
+    root = photos({"Labels/rgb/1.jpg": "jpg", "Labels/thermal/1.png": "png"})
+    assert files(root, find_pairs(root)) == [("Labels/rgb/1.jpg", "Labels/thermal/1.png")]
 
 
 EXTRACTS = {"{}_rgb_image.jpg": "jpg", "{}_thermal.png": "png", "{}_thermal_values.csv": TABLE}
@@ -443,20 +457,6 @@ def test_what_flirimageextractor_writes(photos, originals, thermal, skipped):
     found = find_pairs(root)
     assert files(root, found) == [(f"{s}_rgb_image.jpg", thermal.format(s)) for s in stems]
     assert_left_out(found, {name.format(s): "used instead" for s in stems for name in skipped})
-
-
-@pytest.mark.parametrize(
-    "form", ["%Y-%m-%d_%H-%M-%S.%f", "cam_%Y%m%d_%H%M%S_%f", "%Y%m%dT%H%M%S%f"]
-)
-def test_clock_times_in_names_are_times(photos, form):
-    def name(seconds: float) -> str:
-        return (NOON + timedelta(seconds=seconds)).strftime(form)
-
-    rgb = [f"rgb/{name(number / 2)}.png" for number in range(6)]
-    thermal = [f"thermal/{name(number / 2 + 0.03)}.png" for number in range(6)]
-    found = find_pairs(photos(dict.fromkeys(rgb + thermal, "png")))
-    assert "within" in found.rule
-    assert [rgb.index(one) for one, _ in files(photos({}), found)] == list(range(6))
 
 
 @pytest.mark.parametrize(
@@ -496,16 +496,6 @@ def test_numbers_that_a_picture_of_their_name_stands_for_are_said(photos):
     assert any("tiff/0.tif holds numbers" in text for text in found.warnings)
 
 
-def test_what_flirpy_writes(photos):
-    """The camera's records, radiometric TIFFs, previews of these, and RGB photos."""
-    record, stems = FlirPhoto().record(), [f"frame_{number:06d}" for number in range(3)]
-    kinds = {"raw/{}.fff": record, "radiometric/{}.tiff": "celsius"}
-    kinds |= {"preview/{}.jpg": "jpg", "rgb/{}.jpg": ("jpg", {"size": (24, 20)})}
-    root = photos({name.format(stem): what for stem in stems for name, what in kinds.items()})
-    found = find_pairs(root)
-    assert files(root, found) == [(f"rgb/{s}.jpg", f"radiometric/{s}.tiff") for s in stems]
-
-
 @pytest.mark.parametrize("form", ["{:.6f}", "frame_{:.3f}", "{:.0f}"])
 def test_names_in_seconds_since_1970_are_times(photos, form):
     """Of a robot's two cameras, at 4 and 3 images a second."""
@@ -525,9 +515,9 @@ def test_names_in_seconds_since_1970_are_times(photos, form):
 
 
 def test_numbers_that_cannot_be_seconds_are_no_times(photos):
-    names = ["1000012345", "20231301120000", "1234567890", "17000000001"]
+    names = ["1000012345", "20230101120000", "1234567890", "17000000001", "1700000000_4567"]
     root = photos({f"{folder}/{name}.png": "png" for name in names for folder in ("rgb", "ir")})
-    assert [photo.exif.taken for photo in take_inventory(root).photos] == [None] * 8
+    assert [photo.exif.taken for photo in take_inventory(root).photos] == [None] * 10
 
 
 def test_previews_of_other_names_are_no_rgb_photos(photos):

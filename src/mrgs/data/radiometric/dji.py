@@ -13,7 +13,7 @@ import numpy as np
 from mrgs.data.radiometric.exif import read_exif
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.raster import finished
-from mrgs.data.radiometric.units import FLOAT_UNITS, everyday, typical
+from mrgs.data.radiometric.units import FLOAT_UNITS, typical
 from mrgs.errors import ToolError, scene_error
 
 SIZES = ((640, 512), (1280, 1024), (336, 256), (160, 120), (320, 256), (640, 480))
@@ -122,7 +122,7 @@ def _bare_numbers(
             if len(data) == width * height * np.dtype(form).itemsize:
                 values = np.frombuffer(data, form).reshape(height, width).astype(np.float32)
                 is_guess = overrides.unit is None and form == "<i2"
-                if is_guess and not everyday(unit, typical(values)):
+                if is_guess and typical(values)[0] > 1_500:  # counts
                     why = f"holds no usual 0.1 °C; make it with {TOOL} -a measure, or give the unit"
                     raise scene_error(path, why, options=("unit",))
                 return finished(values, unit, path, facts, overrides)

@@ -65,9 +65,9 @@ def read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     if pixels.ndim == 3:
         return _from_colours(pixels, path, facts, overrides)
     if has_numbers:
-        if zeros_are_missing(typical(pixels)) and (pixels == 0).any():
+        if zeros_are_missing(pixels):
             pixels = np.where(pixels == 0, np.float32(np.nan), pixels)
-            facts = facts.adding(notes=("Pixels of exactly 0 are taken for missing ones.",))
+            facts = facts.adding(warnings=("Pixels of exactly 0 are taken for missing ones.",))
         return finished(pixels, FLOAT_UNITS, path, facts, overrides)
     if pixels.dtype == np.uint8:
         return _from_grey(pixels.astype(np.float32) / 255, path, facts, overrides)

@@ -20,7 +20,7 @@ from mrgs.errors import scene_error
 MAX_BYTES = 256 * 2**20
 
 _RASTERS = (JPEG_SIGNATURE, b"\x89PNG\r\n\x1a\n", *TIFF_SIGNATURES, NPY_SIGNATURE)
-_TABLE_SUFFIXES = {".csv", ".txt", ".tsv", ".asc", ".dat"}
+_TABLE_SUFFIXES = {".csv", ".txt", ".tsv", ".asc"}
 
 Kind = Literal["signal", "numbers", "table", "image"]
 """Content of a file: a camera's raw signal; bare numbers, or floats in an image; a table of
@@ -106,7 +106,7 @@ def read_thermal_photo(path: str | Path, overrides: Overrides | None = None) -> 
 
     Args:
         path: a FLIR radiometric JPEG or FFF file; a DJI R-JPEG; a TIFF, PNG or JPEG image; an array
-            (``.npy``); a table (``.csv``, ``.txt``, ``.tsv``, ``.asc``, ``.dat``); or the bare
+            (``.npy``); a table (``.csv``, ``.txt``, ``.tsv``, ``.asc``); or the bare
             numbers of DJI's tool (``.raw``).
         overrides: what the user knows better than the file.
     """

@@ -38,7 +38,7 @@ _HEADINGS = re.compile(r"(y|v|i|rows?|lines?|zeile)|(x|u|j|col\w*|spalte)|([tcfk
 _NO_HEADING = re.compile(r"[\[(/].*|pixel|px|pos(?:ition)?|coord\w*|index|[\W\d_]")
 """Headings of a pixel's row, its column and its temperature, and what may be beside them."""
 
-_OF_EXTRACTOR = ["x", "y", "temp(c)"]
+_OF_EXTRACTOR = ["x", "y", "temp (c)"]
 """Headings by FlirImageExtractor, whose x is the row."""
 
 
@@ -122,10 +122,11 @@ class _Table(NamedTuple):
 def _table(cells: list[list[str]], is_comma: bool) -> _Table | None:
     """The table in the cells of all lines. Where commas separate them, every second may be the
     decimals of the one before, behind the row's number or not: whole numbers then follow each other
-    much more closely than the two of a pair. No number in a long line has a point then."""
+    much more closely than the two of a pair. Few long lines have a point in a number then."""
     longest = max(map(len, cells), default=0)
-    numbers = (cell for each in cells if 2 * len(each) > longest for cell in each[1:])
-    is_comma = is_comma and not any("." in cell and _NUMBER.fullmatch(cell) for cell in numbers)
+    long = [each[1:] for each in cells if 2 * len(each) > longest]
+    has_point = [any("." in cell and _NUMBER.fullmatch(cell) for cell in each) for each in long]
+    is_comma = is_comma and 2 * sum(has_point) <= len(long)
     for start in (0, 1) if is_comma else ():
         table = _largest([[*each[:start], *_paired(each[start:])] for each in cells])
         if table and len(table.rows[0]) - start > 2:
@@ -178,7 +179,7 @@ def _picture(table: _Table, beside: list[str], path: Path) -> Float64[np.ndarray
     height, width = values.shape
     columns = next((found for line in beside if (found := columns_of(line, width))), None)
     values = _placed(values[:, columns]) if columns else values
-    is_list, is_recording = height > 4 * width and width < 8, width > max(64, 4 * height)
+    is_list, is_recording = height > 4 * width and width < 8, width > 16 * height
     if values.size == 0 or (not columns and (is_list or is_recording)):
         raise scene_error(
             path,
@@ -193,7 +194,7 @@ def columns_of(line: str, width: int) -> list[int]:
     of unknown name is the temperature. Empty if the line does not say."""
     separator = next((each for each in _SEPARATORS if each in line), ",")
     cells = _cells(line.strip("# "), separator)[-width:]
-    if [cell.casefold().replace(" ", "") for cell in cells[:3]] == _OF_EXTRACTOR:
+    if cells == _OF_EXTRACTOR:
         return [0, 1, 2]
     found = [_HEADINGS.fullmatch(_NO_HEADING.sub("", cell.casefold())) for cell in cells]
     kinds = [match.lastindex if match else 0 for match in found]

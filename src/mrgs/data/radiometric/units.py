@@ -104,10 +104,12 @@ def typical(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3"]:
     return np.percentile(known[:: 1 + known.size // _ENOUGH], (1, 50, 99))
 
 
-def zeros_are_missing(numbers: Float[np.ndarray, "3"]) -> bool:
-    """Whether a 0 is far from all ``typical`` numbers, as around an image that was warped."""
-    low, _, high = numbers
-    return bool(low > (high - low) / 4)
+def zeros_are_missing(values: Float[np.ndarray, "h w"]) -> bool:
+    """Whether there are zeros, far from other numbers, as around an image that was warped: what is
+    as cold is next to what is half as cold."""
+    low, _, high = typical(values)
+    near = ((values > 0) & (values < low / 2)).sum()
+    return bool(low > (high - low) / 4 and (values == 0).sum() > 10 * near)
 
 
 def _is_everyday(unit: Unit, numbers: Float[np.ndarray, "3"]) -> bool:

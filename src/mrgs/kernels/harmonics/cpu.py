@@ -38,7 +38,7 @@ def shade(
     floor: float = 0.0,
 ) -> Float[Tensor, "v c"]:
     """``mrgs.field.spherical_harmonics.shade``; all tensors but ``rows`` are float32. ValueError
-    for tensors of other sizes or types, or harmonics above degree 3; IndexError for other rows."""
+    for tensors of other sizes or types, or harmonics above degree 3; IndexError for rows beyond."""
     count, channels = len(means), dc.shape[-1]
     require("means", means, (count, 3))
     require("dc", dc, (count, 1, channels))

@@ -19,6 +19,7 @@ from mrgs.prepare.pairs.photo import (
     PARTNER,
     REFERENCE,
     Photo,
+    candidate_by_name,
     natural,
     read_stem,
     view_names,
@@ -89,10 +90,10 @@ def find_pairs(
     pairs = [pair for pair in pairs if pair.partner or pair.embedded] or pairs
     warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory, camera))
     shades = {pair.reference.origin.name for pair in pairs if not pair.reference.is_thermal}
-    finished = [each for each in inventory.references if each.is_thermal]
+    used = {pair.reference for pair in pairs}
+    finished = [each for each in inventory.references if each.is_thermal and each not in used]
     if passed := [each.name for each in finished if each.origin.name in shades]:
-        told = f"{passed[0]} holds numbers, and a picture of its name is used: move one of them"
-        warnings += (f"{told}, and all others like it, elsewhere.",)
+        warnings += (f"{passed[0]} holds numbers, but a picture of its name is used: move that.",)
     unread = [item.name for item in inventory.skipped if NOT_READ in item.reason]
     if unread and not any(pair.partner or pair.embedded for pair in pairs):
         warnings += (
@@ -174,8 +175,14 @@ def _count(match: Match | None) -> int:
 def _alone(
     references: list[Photo], reasons: dict[Photo, str], warnings: tuple[str, ...] = ()
 ) -> Match:
-    """The reference photos without partners, and why other photos are not used."""
-    pairs = tuple(Pair(photo) for photo in references)
+    """The reference photos without partners, and why other photos are not used; of several files
+    of one photo the best."""
+    best: dict[tuple, Photo] = {}
+    for photo in sorted(references, key=lambda each: each.preference):
+        found = candidate_by_name(photo)
+        if (one := best.setdefault((found.key, found.moment), photo)) is not photo:
+            reasons[photo] = f"{printable(one.path.name)} is used instead"
+    pairs = in_order(Pair(photo) for photo in best.values())
     return Match(pairs, f"Only the {REFERENCE.title} photos are used.", "", reasons, warnings)
 
 

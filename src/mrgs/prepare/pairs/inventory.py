@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
@@ -28,14 +28,13 @@ from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import Progress, Skipped
 from mrgs.prepare.pairs.photo import (
     NO_PHOTOS,
-    PREVIEW_FOLDERS,
     Photo,
     folder_modality,
-    moment_of,
     natural,
+    read_stem,
     told_apart,
 )  # fmt: skip
-from mrgs.scene import Modality
+from mrgs.scene import THERMAL, Modality
 from mrgs.system.disk import open_regular
 
 _HEAD_BYTES = 2**20
@@ -50,11 +49,8 @@ _COPY = re.compile(r"[ _-]*(?:\(\d+\)|copy(?: ?\d+)?|kopie|copie)$")
 _LOG = re.compile(r"(?i)^\D*\blat(?:itude)?\b\D*\b(?:lon|lng|long|longitude)\b\D*$")
 """The headings of a flight log or of geotags."""
 
-_EPOCH = re.compile(r"(?:.*\D)?(1[3-9]\d{8})(?:\D?(\d{3,9}))?")
+_EPOCH = re.compile(r"(?:.*\D)?(1[3-9]\d{8})(?:\D?(\d{3}|\d{6}|\d{9}))?")
 """Seconds since 1970 at the end of a name, from 2011 on, as recordings of robots write them."""
-
-_CLOCK = re.compile(r"(?:.*\D)?(20\d\d)" + 5 * r"\D?(\d\d)" + r"(?:\D?(\d{3,6}))?")
-"""Date and time at the end of a name."""
 
 _UNSUPPORTED = {
     ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".gpr", ".cr2", ".cr3", ".nef",
@@ -73,9 +69,13 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
     its path below the folder of photos. ``1_T.JPG.tiff`` was converted from ``1_T.JPG``."""
     suffix = path.suffix.lower()
     origin = PurePosixPath(without_image_suffix(relative.with_suffix("").as_posix()))
-    named = {*map(str.lower, relative.parts[:-1]), origin.name.lower().rpartition("_")[2]}
+    named = {*map(str.lower, relative.parts[-2:-1]), origin.name.lower().rpartition("_")[2]}
     if said := named & NO_PHOTOS:
         return f"is not a photo, but {min(said)} by its name"
+    if suffix == ".npy" and THERMAL not in (
+        folder_modality(origin.parts[:-1])[0], read_stem(origin.name).modality
+    ):  # fmt: skip
+        return "is an array, and not thermal by its name or folder"
     try:
         data = _head(path)
         if not data:
@@ -91,23 +91,14 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         photo = _PHOTOS[reader.kind](path, origin, data)
         if isinstance(photo, str):
             return photo
-        if photo.exif.taken is None:
-            taken, zone_s = _time_in(origin.name)
-            photo = replace(photo, exif=replace(photo.exif, taken=taken, zone_s=zone_s))
+        if photo.exif.taken is None and (stamp := _EPOCH.fullmatch(origin.name)):
+            moment = float(stamp[1]) + float(f"0.{stamp[2] or 0}")
+            taken = datetime.fromtimestamp(moment, timezone.utc).replace(tzinfo=None)
+            photo = replace(photo, exif=replace(photo.exif, taken=taken, zone_s=0.0))
         name = printable(relative.as_posix())
         return replace(photo, needs_tool=reader.needs_tool, name=name)
     except SceneError as error:
         return str(error).removeprefix(f"{path}: ")
-
-
-def _time_in(name: str) -> tuple[datetime | None, float | None]:
-    """The time at the end of a name, and its zone's, seconds ahead of UTC; None if not known."""
-    if found := _EPOCH.fullmatch(name):
-        moment = float(found[1]) + float(f"0.{found[2] or 0}")
-        return datetime.fromtimestamp(moment, timezone.utc).replace(tzinfo=None), 0.0
-    if (found := _CLOCK.fullmatch(name)) and (whole := moment_of("".join(found.groups()[:6]))):
-        return whole + timedelta(seconds=float(f"0.{found[7] or 0}")), None
-    return None, None
 
 
 def _head(path: Path) -> bytes:
@@ -299,7 +290,7 @@ def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]
     Files of one stem in one folder are the same photo, and so are one that only the maker's tool
     reads and the one file of that stem elsewhere that it was converted to. Where there are RGB
     photos besides, an image that is thermal by its folder or name is the preview of the numbers
-    beside it, and one in a folder of previews that of those anywhere.
+    beside it.
     """
     has_rgb = not all(photo.is_reference for photo in photos)
     by_stem: dict[str, list[Photo]] = {}
@@ -309,17 +300,11 @@ def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]
     for group in by_stem.values():
         finished = [photo for photo in group if photo.kind in ("numbers", "table")]
         for photo in group:
-            folder = photo.path.parent
             beside = [
                 other
                 for other in group
-                if (folder.name.lower() in PREVIEW_FOLDERS and other.is_thermal)
-                or (
-                    other.path.parent == folder
-                    and all(
-                        one.is_reference if has_rgb else one.is_thermal for one in (photo, other)
-                    )
-                )
+                if other.path.parent == photo.path.parent
+                and all(one.is_reference if has_rgb else one.is_thermal for one in (photo, other))
             ]
             best[photo] = min([photo, *beside], key=lambda one: one.preference)
             if best[photo].needs_tool and len(finished) == 1:

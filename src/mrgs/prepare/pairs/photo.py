@@ -33,16 +33,13 @@ _PHOTO_WORDS = {"image", "images", "photo", "photos"}
 """Folders with these names hold RGB photos, unless something else in the name says thermal."""
 
 _FILLERS = {
-    "image", "img", "photo", "picture", "thumb", "thumbnail", "value", "values", "data", "raw",
+    "image", "img", "photo", "picture", "value", "values", "data", "raw",
     "temp", "temps", "tiff", "csv", "npy", "16bit", "color", "colour",
 }  # fmt: skip
 """Words that may follow a camera suffix at the end of a name: ``IR_0001_rgb_image``."""
 
 NO_PHOTOS = {"depth", "depths", "disp", "disparity", "label", "labels", "mask", "masks", "normals"}
 """Folders with these names, and files that end with them, hold something else than photos."""
-
-PREVIEW_FOLDERS = {"preview", "previews", "thumb", "thumbs", "thumbnail", "thumbnails"}
-"""Images there are previews of the thermal photos of their names."""
 
 HEADINGS = {
     RGB: {"rgb", "visible", "vis", "visual", "optical", "color", "colour", "image"},
@@ -138,7 +135,7 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
     if (found := _STAMPED.fullmatch(stem)) and (modality := _modality_of(found[4])) is not None:
         stripped = (part.strip("_-") for part in (found[1], found[3], found[5] or ""))
         key = "_".join(part for part in stripped if part)
-        return StemFacts(key, modality, found[4].lower(), moment_of(found[2]))
+        return StemFacts(key, modality, found[4].lower(), _moment(found[2]))
     if found := _LAST_LETTER.search(stem):
         mark = (found["camera"] or found["thermal"]).lower()
         return StemFacts(stem[: found.start()], _LETTERS[mark], mark)
@@ -175,8 +172,7 @@ def _modality_of(word: str) -> Modality | None:
     return next((each for each, words in _WORDS.items() if word in words), _LETTERS.get(word))
 
 
-def moment_of(digits: str) -> datetime | None:
-    """The time in 14 digits, ``20240131120000``; None if it is none."""
+def _moment(digits: str) -> datetime | None:
     try:
         return datetime.strptime(digits, "%Y%m%d%H%M%S")
     except ValueError:
