@@ -408,7 +408,7 @@ def compare(command: commands.CompareMethods) -> None:
     """Train and score methods side by side."""
     with _from_checkout(
         "mrgs_compare",
-        "mrgs compare is a package of its own: run `pip install ./plugins/compare` in a clone",
+        "mrgs compare is a package of its own: run `pip install ./plugins/compare` in a checkout",
     ):
         from mrgs_compare import Options, Variant
         from mrgs_compare import compare as compare_methods
@@ -503,7 +503,7 @@ def _bundled_scene() -> Path:
 def _synth(command: commands.Synth) -> None:
     with _from_checkout(
         "mrgs_synth",
-        "the scene generator comes with a clone only: run `pip install -e '.[synth]'` there",
+        "the scene generator needs a source checkout: run `pip install -e '.[synth]'` there",
     ):
         from mrgs_synth import synthesize
         from mrgs_synth.solar_plant import PlantOptions, synthesize_plant

@@ -56,7 +56,7 @@ class Lpips:
         try:
             return cls.from_file(kept) if kept.is_file() else None
         except RunError as error:
-            warn_user(f"LPIPS is left out: {error}; convert the weights again (docs/runs.md)")
+            warn_user(f"LPIPS is left out: {error}; delete it, or convert it again (docs/runs.md)")
             return None
 
     @classmethod
