@@ -290,6 +290,14 @@ def test_shades_as_floats_are_doubted(tmp_path):
     assert any("(42 to 238) are taken for °C" in text for text in said)
 
 
+def test_pixels_that_are_no_numbers_are_no_zeros(tmp_path):
+    framed = SCENE_C + np.float32(10)
+    framed[:, :3] = np.nan
+    _, valid, said = ThermalScene(tmp_path, framed).loaded()
+    assert not valid[:, :3].any()
+    assert said == []
+
+
 def test_zeros_near_other_temperatures_are_temperatures(tmp_path):
     near = SCENE_C - np.float32(5)
     assert (near == 0).any()

@@ -53,8 +53,7 @@ MAX_SYNTH_SEED = 1_000_000
 """Mitsuba takes 32 bits, and every view has a seed of its own."""
 
 NO_MEMORY = ("can't allocate memory", "not enough memory")
-NO_GPU_MEMORY = ("out of memory", "ALLOC_FAILED")
-"""Texts of torch's RuntimeError when the system or a GPU has no memory left."""
+"""Texts of torch's RuntimeError when the system has no memory left."""
 
 EXIT_USER_ERROR = 2
 
@@ -189,10 +188,14 @@ def _line(error: Exception) -> str | None:
         reason = error.strerror or error
         return f"{place}{reason}: check its permissions and the room on its disk"
     fewer = "fewer Gaussians or a lower resolution (--max-gaussians, --resolution)"
-    text = str(error) if isinstance(error, RuntimeError) else ""
-    if any(sign in text for sign in NO_GPU_MEMORY):
-        return f"the GPU's memory does not suffice: use the CPU (--device cpu), {fewer}"
-    if isinstance(error, MemoryError) or any(sign in text for sign in NO_MEMORY):
+    lacks_any = isinstance(error, MemoryError)
+    if isinstance(error, RuntimeError):
+        from mrgs.system.gpu import lacks_memory
+
+        if lacks_memory(error):
+            return f"the GPU's memory does not suffice: use the CPU (--device cpu), {fewer}"
+        lacks_any = any(text in str(error) for text in NO_MEMORY)
+    if lacks_any:
         return f"the system has no memory left: close other programs, or use {fewer}"
     return None
 

@@ -365,7 +365,7 @@ def _most_pixels(size: int) -> int:
 
 
 def _opened_array(file: BinaryIO, path: Path, most_pixels: int) -> Image.Image:
-    """NumPy's: unsigned integers of 8 and 16 bits as they are, others of 32 bits, 32-bit floats."""
+    """An array: unsigned integers of 8 and 16 bits as they are, others of 32 bits; floats of 32."""
     file.seek(0)
     array = np.load(file)
     if array.size > most_pixels:
@@ -373,11 +373,8 @@ def _opened_array(file: BinaryIO, path: Path, most_pixels: int) -> Image.Image:
     values = array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array
     is_image = values.ndim == 2 and min(values.shape) >= _LEAST_SIDE and values.dtype.kind in "fiub"
     if not is_image:
-        raise scene_error(
-            path,
-            f"holds an array {[*array.shape]} of {array.dtype}; save the numbers of one image, "
-            f"[height, width]",
-        )
+        what = f"an array {[*array.shape]} of {array.dtype}"
+        raise scene_error(path, f"holds {what}; save the numbers of one image, [height, width]")
     if values.dtype.kind == "b":  # a mask
         values = 255 * values.astype(np.uint8)
     kind = np.dtype(np.float32) if values.dtype.kind == "f" else np.dtype(np.int32)

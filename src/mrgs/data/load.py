@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -198,7 +197,7 @@ def _meaning_of(source: SceneSource, temperature: TemperatureRange | None) -> Nu
     if any(image.record is not None for image in images):
         return IN_CELSIUS
     some = [decode(images[at].path) for at in evenly_spaced(len(images))]
-    arrays = [each.values[..., 0].numpy() for each in some if each.kind == "float"]
+    arrays = [_celsius(each, Numbers(None))[0] for each in some if each.kind == "float"]
     known = [row for row in map(typical, arrays) if np.isfinite(row).all()]
     low, _, high = usual = np.median(known or np.full((1, 3), np.nan), axis=0)
     has_zero = temperature is not None and temperature.min_c <= 0 <= temperature.max_c
@@ -327,7 +326,7 @@ def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes
     text = "No split is given: every {number}th view, in the order of the names, is held out."
     notes.decide(Message(text, number=f"{EVAL_EVERY}"))
     # The images of two cameras go together.
-    named = {*chain(*FOLDERS.values())}
+    named = {name for names in FOLDERS.values() for name in names}
     parts = ([part for part in key.split("/") if part.lower() not in named] for key in keys)
     places = ["/".join(each) for each in parts]
     held_out = {*sorted({*places})[::EVAL_EVERY]}
@@ -410,7 +409,7 @@ def _celsius(
     values = image.values[..., 0].numpy().astype(np.float64)
     usable = None if image.valid is None else image.valid.numpy()
     if numbers.without_zeros:
-        usable = (values != 0) if usable is None else (values != 0) & usable
+        values[values == 0] = np.nan
     return masked(values if numbers.unit is None else numbers.unit.celsius(values), usable)
 
 

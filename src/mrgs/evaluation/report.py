@@ -184,7 +184,8 @@ def _groups(
 
 
 def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -> str:
-    """The content of ``metrics.md``: the figures as tables; a dash for a missing one."""
+    """The content of ``metrics.md``: the figures as tables; a dash for a missing one, with the
+    reasons at the end."""
     seconds, memory = facts.train_seconds, facts.peak_memory_bytes
     counts = {"steps": facts.steps, "Gaussians": facts.gaussians}
     cost = [f"{number:,} {noun}" for noun, number in counts.items() if number is not None]

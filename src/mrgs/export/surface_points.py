@@ -84,7 +84,7 @@ def surface_points(baked: BakedModel, scene: Scene) -> SurfacePoints:
     opacities = to_array(torch.stack(list(baked.opacities.values())).amax(dim=0))
     rows = np.flatnonzero(opacities >= MIN_OPACITY)
     if not len(rows):
-        raise RunError(f"no splat has an opacity of {MIN_OPACITY} or more, so there are no points")
+        raise RunError(f"no splat has an opacity of {MIN_OPACITY} or more: train it longer")
     positions = to_array(baked.means)[rows]
     values, cameras = carry_over(depth_maps(baked, scene), positions, 0.0, SURFACE_DEPTH)
     seen = cameras > 0

@@ -315,7 +315,8 @@ def measure_pace(
 
 def steps_within(seconds: float, pace: Pace, max_gaussians: int | None) -> int:
     """The steps that fit into a time from the start of a training with this cap on the Gaussians,
-    at least one, by the model of a pipeline's training: more Gaussians take longer."""
+    at least one, by the model of a pipeline's training: more Gaussians take longer, coarse photos
+    less."""
     growth = 1.0
     if max_gaussians is not None and pace.gaussians:
         mean = mean_gaussians(pace.gaussians, max(max_gaussians, pace.gaussians))

@@ -188,7 +188,8 @@ def facts_to_resume(
                 options=("accept_changes",),
             )
         warn_user(
-            f"{scene.name} has changed since the run began ({changed}); training goes on with it"
+            f"{scene.name} has changed since the run began ({changed}); training goes on with it "
+            f"as it is now"
         )
     before = facts.capture  # what the model was trained with, and goes on with
     capture = replace(Capture.of(scene), radiance=before.radiance, air=before.air)

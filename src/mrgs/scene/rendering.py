@@ -123,7 +123,8 @@ class Rendering(Mapping[Modality, Blend]):
 
     def visible_depth(self) -> Float[Tensor, "h w"]:
         """z-depth of the visible surface, scene units, [H, W], NaN where no modality shows one: of
-        the first that covers the pixel, those with a unit first."""
+        the first that covers the pixel, those with a unit first, whose coldest things may be
+        transparent."""
         first, *others = metric_first(self)
         depth = self.surface_depth(first)
         for each in others:

@@ -32,7 +32,8 @@ class Similarity:
 @dataclass(frozen=True, eq=False)
 class RobustFit:
     """A similarity that was fitted to the inliers, the standard deviation of their coordinates in
-    units of the target, and their degrees of freedom, at least 1."""
+    units of the target, and their degrees of freedom: coordinates minus fitted numbers, at least
+    1."""
 
     similarity: Similarity
     inliers: Bool[np.ndarray, " n"]

@@ -261,7 +261,8 @@ class Trainer:
             kept = f"the last good step is kept in {found[-1]}: resume on the CPU, or retrain"
         raise TrainingError(
             f"the GPU's memory does not suffice for step {state.step + 1:,} with "
-            f"{len(state.model.gaussians):,} Gaussians; {kept} with fewer of them or of pixels",
+            f"{len(state.model.gaussians):,} Gaussians; {kept} with fewer Gaussians or a lower "
+            f"resolution",
             options=("max_gaussians", "resolution"),
         )
 

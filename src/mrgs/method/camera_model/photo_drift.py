@@ -70,7 +70,8 @@ class PhotoDrift(PhotoEffect):
 
     def expected(self, viewpoint: Viewpoint) -> Float[Tensor, ""]:
         """The offset of the photo taken there; of a held-out photo, that between the photos before
-        and after it. 0, which is the mean, for any other place: a drift depends on the time."""
+        and after it. 0, which is the mean, for any other place: a drift depends on the time, not on
+        the place."""
         same = only_one_at(viewpoint_distances([viewpoint], self._viewpoints)[0])
         if same is not None:
             return self.offsets()[same]

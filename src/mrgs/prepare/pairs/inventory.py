@@ -26,14 +26,7 @@ from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.data.radiometric.table import columns_of, numbers_in
 from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import Progress, Skipped
-from mrgs.prepare.pairs.photo import (
-    NO_PHOTOS,
-    Photo,
-    folder_modality,
-    natural,
-    read_stem,
-    told_apart,
-)  # fmt: skip
+from mrgs.prepare.pairs.photo import Photo, folder_modality, natural, read_stem, told_apart
 from mrgs.scene import THERMAL, Modality
 from mrgs.system.disk import open_regular
 
@@ -51,6 +44,9 @@ _LOG = re.compile(r"(?i)^\D*\blat(?:itude)?\b\D*\b(?:lon|lng|long|longitude)\b\D
 
 _EPOCH = re.compile(r"(?:.*\D)?(1[3-9]\d{8})(?:\D?(\d{3}|\d{6}|\d{9}))?")
 """Seconds since 1970 at the end of a name, from 2011 on, as recordings of robots write them."""
+
+_NO_PHOTOS = {"depth", "depths", "disp", "disparity", "label", "labels", "mask", "masks", "normals"}
+"""Folders with these names, and files that end with them, hold something else than photos."""
 
 _UNSUPPORTED = {
     ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".gpr", ".cr2", ".cr3", ".nef",
@@ -70,11 +66,10 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
     suffix = path.suffix.lower()
     origin = PurePosixPath(without_image_suffix(relative.with_suffix("").as_posix()))
     named = {*map(str.lower, relative.parts[-2:-1]), origin.name.lower().rpartition("_")[2]}
-    if said := named & NO_PHOTOS:
+    if said := named & _NO_PHOTOS:
         return f"is not a photo, but {min(said)} by its name"
-    if suffix == ".npy" and THERMAL not in (
-        folder_modality(origin.parts[:-1])[0], read_stem(origin.name).modality
-    ):  # fmt: skip
+    told = folder_modality(origin.parts[:-1])[0], read_stem(origin.name).modality
+    if suffix == ".npy" and THERMAL not in told:
         return "is an array, and not thermal by its name or folder"
     try:
         data = _head(path)

@@ -38,9 +38,6 @@ _FILLERS = {
 }  # fmt: skip
 """Words that may follow a camera suffix at the end of a name: ``IR_0001_rgb_image``."""
 
-NO_PHOTOS = {"depth", "depths", "disp", "disparity", "label", "labels", "mask", "masks", "normals"}
-"""Folders with these names, and files that end with them, hold something else than photos."""
-
 HEADINGS = {
     RGB: {"rgb", "visible", "vis", "visual", "optical", "color", "colour", "image"},
     THERMAL: {"thermal", "ir", "tir", "infrared"},
