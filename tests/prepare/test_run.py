@@ -26,7 +26,7 @@ from mrgs.prepare.contract import Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.existing import existing_poses
 from mrgs.prepare.georeference import KnownDistance
 from mrgs.prepare.rig.contract import ChessboardTarget, RigCalibration, RigView, TargetFit
-from mrgs.prepare.run import Steps, locked
+from mrgs.prepare.run import Steps, preparing
 from mrgs.prepare.thermal_camera import read_thermal_camera
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
@@ -517,9 +517,9 @@ def test_a_folder_in_use_is_left_alone(tmp_path):
     folder = tmp_path / "scene" / "prepare"
     folder.mkdir(parents=True)
     message = "scene is being prepared by another run: wait for it, or choose another folder"
-    with FileLock(folder / ".lock"), pytest.raises(RunError, match=message), locked(folder):
+    with FileLock(folder / ".lock"), pytest.raises(RunError, match=message), preparing(folder):
         pass
-    with locked(folder):
+    with preparing(folder):
         assert folder.is_dir()
 
 
@@ -527,6 +527,6 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "scene").write_text("mine")
     with (
         pytest.raises(RunError, match="scene/prepare cannot be"),
-        locked(tmp_path / "scene" / "prepare"),
+        preparing(tmp_path / "scene" / "prepare"),
     ):
         pass

@@ -17,7 +17,7 @@ from mrgs.errors import ConfigError, RunError, warn_user
 from mrgs.marks.mark import Mark, Marks
 from mrgs.runs.open import TrainedRun
 from mrgs.scene import Scene
-from mrgs.system.atomic import locked, require_folder, write_error, write_text
+from mrgs.system.atomic import changing, require_folder, write_error, write_text
 from mrgs.system.disk import read_text
 from mrgs.system.typed_json import Finite, from_json
 
@@ -98,7 +98,7 @@ class MarkStore:
     def edit(self, change: Change) -> Marks:
         """Change the marks as they are on the disk now, and save them; returns them. ConfigError if
         the change is not possible, RunError as for ``read``, or if the file cannot be written."""
-        with locked(self.file):
+        with changing(self.file):
             before = self.read()
             after = change(before)
             if after != before:
@@ -109,7 +109,7 @@ class MarkStore:
     def undo(self) -> Marks:
         """Undo the last change, and save; returns the marks. Errors as for ``edit``; also
         ConfigError if there is nothing to undo."""
-        with locked(self.file):
+        with changing(self.file):
             now, states = self.read(), self._states(self._undo_file)
             while states and states[-1] == now:  # a change that was cut off before its second file
                 states.pop()

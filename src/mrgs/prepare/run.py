@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-
-from filelock import FileLock, Timeout
 
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, scene_error
@@ -20,7 +18,7 @@ from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.prepare.thermal_camera import Calibrate
 from mrgs.prepare.work import Work
-from mrgs.system.atomic import LOCK, TEMPORARY, remove_abandoned, write_error, write_text
+from mrgs.system.atomic import LOCK, TEMPORARY, locked, remove_abandoned, write_text
 from mrgs.system.disk import warn_if_short
 
 GROWTH = 2
@@ -82,7 +80,7 @@ def prepare(
     work.on_progress = progress or work.on_progress
     work.on_report = report or work.on_report
     _check_folders(work.photos, work.scene)
-    with locked(work.cache.folder):
+    with preparing(work.cache.folder):
         remove_abandoned(work.scene)
         if not (work.cache.folder / MARKER).exists():
             write_text(work.cache.folder / MARKER, MARKER_TEXT)
@@ -133,20 +131,8 @@ def _is_unclaimed(folder: Path) -> bool:
     return not cache.exists() or all(path.name.startswith(own) for path in cache.iterdir())
 
 
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder against other processes; it is created if it is missing. RunError if the folder
-    cannot be made, or another process works in it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / LOCK, timeout=0)
-        lock.acquire()
-    except Timeout:
-        raise RunError(
-            f"{folder.parent} is being prepared by another run: wait for it, or choose another "
-            f"folder"
-        ) from None
-    except OSError as error:
-        raise write_error(folder, error) from None
-    with lock:
-        yield
+def preparing(folder: Path) -> AbstractContextManager[None]:
+    """Around the work in a cache folder, which is made; RunError if another process works in it, or
+    it cannot be made."""
+    text = "is being prepared by another run: wait for it, or choose another folder"
+    return locked(folder / LOCK, RunError(f"{folder.parent} {text}"))

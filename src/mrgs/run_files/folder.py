@@ -7,13 +7,12 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
 import numpy as np
-from filelock import FileLock, Timeout
 from jaxtyping import UInt8
 
 from mrgs.errors import (
@@ -24,7 +23,7 @@ from mrgs.errors import (
     SceneError,
     warn_user,
 )
-from mrgs.system.atomic import LOCK, remove_abandoned, write_error, write_text
+from mrgs.system.atomic import LOCK, locked, remove_abandoned, write_error, write_text
 from mrgs.system.disk import open_regular, read_text
 from mrgs.system.strict_yaml import flat, parse_yaml, write_yaml
 from mrgs.system.wording import listed
@@ -306,25 +305,14 @@ class RunFolder:
             kept = [line for line in lines if _step_of(line) <= step]
         write_text(self.log_file, "".join(line + "\n" for line in kept))
 
-    @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Within this block no other process uses the folder; the system releases the lock when the
-        process ends, however it ends. FolderInUseError if another process uses it, RunError if the
-        folder cannot be made."""
-        lock = FileLock(self.path / LOCK, timeout=0)
-        try:
-            with self._writing():
-                self.path.mkdir(parents=True, exist_ok=True)
-                lock.acquire()
-        except Timeout:
-            raise FolderInUseError(
-                f"{self.path} is in use by another run: wait for it, or choose another folder",
-                options=("output",),
-            ) from None
-        try:
-            yield
-        finally:
-            lock.release()
+    def locked(self) -> AbstractContextManager[None]:
+        """Around what no other process may do in the folder meanwhile. FolderInUseError if another
+        process uses it, WriteError if the folder cannot be made."""
+        in_use = FolderInUseError(
+            f"{self.path} is in use by another run: wait for it, or choose another folder",
+            options=("output",),
+        )
+        return locked(self.path / LOCK, in_use, options=("output",))
 
     @property
     def is_locked(self) -> bool:
@@ -371,8 +359,6 @@ class RunFolder:
         """Turn what the file system refuses into an error with a remedy."""
         try:
             yield
-        except Timeout:  # which is an OSError
-            raise
         except OSError as error:
             raise write_error(self.path, error, options=("output",)) from error
 

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 import yaml
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.system.atomic import locked, write_text
+from mrgs.system.atomic import changing, write_text
 from mrgs.system.disk import read_text
 from mrgs.system.strict_yaml import convert, parse_yaml, read_yaml
 from mrgs.system.wording import shown
@@ -227,7 +227,7 @@ def keep_crop(folder: Path, crop: Crop | None) -> None:
     which 50 are kept. Errors as for ``read_survey``; RunError also if a file cannot be written,
     ConfigError if there is nothing to undo."""
     path = folder / CROP_UNDO_FILE
-    with locked(folder / SURVEY_FILE):
+    with changing(folder / SURVEY_FILE):
         survey, states = read_survey(folder / SURVEY_FILE), []
         with suppress(OSError, ValueError, RecursionError, ConfigError):  # what is damaged is lost
             states = list(convert(tuple[Crop, ...], json.loads(read_text(path)), str(path)))

@@ -8,7 +8,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -86,21 +86,32 @@ def require_folder(folder: Path) -> None:
 
 
 @contextmanager
-def locked(kept: Path) -> Iterator[None]:
-    """One change of a file at a time, whatever process makes it, by ``.NAME.lock`` beside it.
-    RunError if another one takes too long; WriteError if the folder is gone, or as of a file."""
-    require_folder(kept.parent)  # the lock would make the folder again
-    lock = FileLock(kept.with_name(f".{kept.stem}.lock"))
+def locked(
+    file: Path, in_use: RunError, wait_s: float = 0, options: tuple[str, ...] = ()
+) -> Iterator[None]:
+    """Within this block no other process holds a lock file, whose folder is made; the system
+    releases it when the process ends, however it ends. ``in_use`` if another process still holds it
+    after ``wait_s``; WriteError of these options if the folder cannot be written."""
+    lock = FileLock(file)
     try:
-        lock.acquire(timeout=LOCK_PATIENCE_S)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire(timeout=wait_s)
     except Timeout:
-        raise RunError(f"another process keeps {kept} locked: end it, then try again") from None
+        raise in_use from None
     except OSError as error:
-        raise write_error(kept, error) from error
+        raise write_error(file.parent, error, options) from error
     try:
         yield
     finally:
         lock.release()
+
+
+def changing(kept: Path) -> AbstractContextManager[None]:
+    """Around a change of a file, one at a time whatever process makes it, by ``.NAME.lock`` beside
+    it. RunError if another one takes too long; WriteError if the folder is gone or read-only."""
+    require_folder(kept.parent)  # the lock would make the folder again
+    in_use = RunError(f"another process keeps {kept} locked: end it, then try again")
+    return locked(kept.with_name(f".{kept.stem}.lock"), in_use, LOCK_PATIENCE_S)
 
 
 def remove(path: Path) -> None:

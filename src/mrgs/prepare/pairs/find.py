@@ -88,24 +88,13 @@ def find_pairs(
     kept = {*inventory.photos}
     pairs = [pair for pair in match.pairs if pair.reference in kept]
     pairs = [pair for pair in pairs if pair.partner or pair.embedded] or pairs
-    warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory, camera))
-    shades = {pair.reference.origin.name for pair in pairs if not pair.reference.is_thermal}
-    used = {pair.reference for pair in pairs}
-    finished = [each for each in inventory.references if each.is_thermal and each not in used]
-    if passed := [each.name for each in finished if each.origin.name in shades]:
-        warnings += (f"{passed[0]} holds numbers, but a picture of its name is used: move that.",)
-    unread = [item.name for item in inventory.skipped if NOT_READ in item.reason]
-    if unread and not any(pair.partner or pair.embedded for pair in pairs):
-        warnings += (
-            f"{counted(len(unread), 'photo')} cannot be read, such as {printable(unread[0])}, so "
-            f"there are no colours: save them as JPEG.",
-        )
+    warnings = (
+        *match.warnings,
+        *shifted(pairs),
+        *check_cameras(pairs, inventory, camera),
+        *_left_out(inventory, pairs),
+    )
     skipped = [*inventory.skipped, *_unused(inventory, match, pairs)]
-    origins = []
-    for pair in pairs:
-        reference, origin = pair.reference, pair.reference.origin
-        key = read_stem(origin.name, reference.is_thermal).key  # without the camera's suffix
-        origins.append(origin.with_name(key) if key else origin)
     found = [
         PhotoPair(
             name,
@@ -113,7 +102,7 @@ def find_pairs(
             pair.embedded,
             {modality: photo.exif for modality, photo in pair.photos.items()},
         )
-        for name, pair in zip(view_names(origins), pairs, strict=True)
+        for name, pair in zip(_names(pairs), pairs, strict=True)
     ]
     return Pairing(
         tuple(sorted(found, key=lambda pair: natural(pair.name))),
@@ -121,6 +110,32 @@ def find_pairs(
         match.rule,
         warnings,
     )
+
+
+def _left_out(inventory: Inventory, pairs: Sequence[Pair]) -> Iterator[str]:
+    """Sentences on files that were probably meant to be used: numbers beside a picture of their
+    name, and photos that cannot be read where no others have colours."""
+    shades = {pair.reference.origin.name for pair in pairs if not pair.reference.is_thermal}
+    used = {pair.reference for pair in pairs}
+    finished = [each for each in inventory.references if each.is_thermal and each not in used]
+    if passed := [each.name for each in finished if each.origin.name in shades]:
+        yield f"{passed[0]} holds numbers, but a picture of its name is used: move that."
+    unread = [item.name for item in inventory.skipped if NOT_READ in item.reason]
+    if unread and not any(pair.partner or pair.embedded for pair in pairs):
+        yield (
+            f"{counted(len(unread), 'photo')} cannot be read, such as {printable(unread[0])}, so "
+            f"there are no colours: save them as JPEG."
+        )
+
+
+def _names(pairs: Sequence[Pair]) -> list[str]:
+    """A name of each pair: its reference photo's, without the camera's suffix."""
+    origins = []
+    for pair in pairs:
+        reference, origin = pair.reference, pair.reference.origin
+        key = read_stem(origin.name, reference.is_thermal).key
+        origins.append(origin.with_name(key) if key else origin)
+    return view_names(origins)
 
 
 def _match(inventory: Inventory, rule: PairRule, tolerance_s: float) -> Match:
