@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import mean, stdev
@@ -169,7 +170,8 @@ def table(kept: Kept) -> str:
             cells.append(_mean_text(found, column))
             cells.append("" if method == baseline else _compared(found, compared, column))
         lines.append("| " + " | ".join(cells) + " |")
-    seeds = len({run["seed"] for run in runs})
+    counts = sorted(Counter((run["scene"], run["method"]) for run in runs).values())
+    seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
     count = f"n = {len(scenes)} scene{'s' if len(scenes) > 1 else ''}"
     lines += ["", f"{count}, trainings of each: {seeds}; commit {kept['commit']}."]
     return "\n".join(lines) + "\n"
@@ -203,10 +205,10 @@ def difference_text(differences: Sequence[float], decimals: int) -> str:
 
 
 def _mean_text(found: Sequence[Sequence[float]], column: Column) -> str:
-    """The mean over the scenes ± standard deviation over the seeds."""
+    """The mean over the scenes ± standard deviation over the seeds that all of them have."""
     means = [mean(of_seed) for of_seed in zip(*found, strict=False)]  # a seed may have failed
     spread = f" ± {stdev(means):.{column.decimals}f}" if len(means) > 1 else ""
-    return f"{mean(means):.{column.decimals}f}{spread} {column.unit}".rstrip()
+    return f"{mean(map(mean, found)):.{column.decimals}f}{spread} {column.unit}".rstrip()
 
 
 def _of_scene(

@@ -62,6 +62,13 @@ def test_a_table_pairs_the_scenes_and_spreads_over_the_seeds():
     assert "2 scenes" in note
 
 
+def test_scenes_count_alike_and_the_numbers_of_trainings_are_said_where_they_differ():
+    runs = [run for run in kept()["runs"] if (run["scene"], run["seed"]) != ("y", 1)]
+    *_, second, _, note = experiments.table(kept(runs=runs)).splitlines()
+    assert second.startswith("| `b` | 3.75 dB | +1.00 ± 0.00 |")  # of 2 and 3, and of 5
+    assert "trainings of each: 1 to 2;" in note
+
+
 def test_a_method_that_not_all_scenes_have_is_compared_on_its_own():
     runs = [run for run in kept()["runs"] if (run["method"], run["scene"]) != ("b", "y")]
     lines = experiments.table(kept(runs=runs)).splitlines()
