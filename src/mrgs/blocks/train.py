@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from filelock import FileLock, Timeout
 from jaxtyping import Int64
 from torch import Tensor
 
@@ -36,7 +35,7 @@ from mrgs.run_files.facts import CheckpointFacts, facts_to_resume
 from mrgs.run_files.folder import RunFolder
 from mrgs.scene import Gaussians, Scene
 from mrgs.scene.capture import model_modalities
-from mrgs.system.atomic import LOCK, write_error
+from mrgs.system.atomic import LOCK, locked
 from mrgs.system.gpu import DeviceName
 from mrgs.system.torch_modes import seeded
 from mrgs.training import checkpoint
@@ -48,8 +47,6 @@ COARSE_STEPS = 0.5
 
 COARSE_ROUNDS = 4
 """Least steps of the coarse model per photo."""
-
-WAIT_S = 1.0
 
 Follow = Callable[[str], AbstractContextManager[Hooks]]
 """From the title of a training to the hooks that follow it."""
@@ -223,22 +220,15 @@ class BlockTraining:
     @contextmanager
     def _alone(self) -> Iterator[None]:
         """Within this block no other process plans or joins."""
-        try:
-            self._below.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(self._below / LOCK)
+        in_use = FolderInUseError("waiting for another process that prepares or joins the blocks")
+        lock = partial(locked, self._below / LOCK, in_use, options=("output",))
+        with ExitStack() as stack:
             try:
-                lock.acquire(timeout=0)
-            except Timeout:
-                self.say("waiting for another process that prepares or joins the blocks")
-            while not lock.is_locked:
-                with suppress(Timeout):  # so that Ctrl-C need not wait for the other process
-                    lock.acquire(timeout=WAIT_S)
-        except OSError as error:
-            raise write_error(self._below, error, options=("output",)) from error
-        try:
+                stack.enter_context(lock())
+            except FolderInUseError as error:
+                self.say(str(error))
+                stack.enter_context(lock(wait_s=-1))
             yield
-        finally:
-            lock.release()
 
 
 def _is_finished(folder: RunFolder, config: TrainConfig) -> bool:

@@ -69,24 +69,19 @@ class Gaussians:
 
     def to(self, device: torch.device) -> Gaussians:
         """Copies on a device, without gradients."""
-        return self.with_tensors(
-            {name: tensor.detach().to(device) for name, tensor in self.tensors().items()}
-        )
+        tensors = self.tensors().items()
+        return self.with_tensors({name: each.detach().to(device) for name, each in tensors})
 
     def rows(self, rows: Int64[Tensor, " k"]) -> Gaussians:
         """Copies of some Gaussians, in this order, without gradients."""
-        return self.with_tensors(
-            {name: tensor.detach()[rows] for name, tensor in self.tensors().items()}
-        )
+        tensors = self.tensors().items()
+        return self.with_tensors({name: each.detach()[rows] for name, each in tensors})
 
     def followed_by(self, others: Gaussians) -> Gaussians:
         """These Gaussians and then others of the same modalities, without gradients."""
-        added = others.tensors()
+        tensors, added = self.tensors().items(), others.tensors()
         return self.with_tensors(
-            {
-                name: torch.cat([tensor.detach(), added[name].detach()])
-                for name, tensor in self.tensors().items()
-            }
+            {name: torch.cat([each.detach(), added[name].detach()]) for name, each in tensors}
         )
 
     def tensors(self) -> dict[str, Tensor]:

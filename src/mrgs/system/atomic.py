@@ -90,8 +90,8 @@ def locked(
     file: Path, in_use: RunError, wait_s: float = 0, options: tuple[str, ...] = ()
 ) -> Iterator[None]:
     """Within this block no other process holds a lock file, whose folder is made; the system
-    releases it when the process ends, however it ends. ``in_use`` if another process still holds it
-    after ``wait_s``; WriteError of these options if the folder cannot be written."""
+    releases it when the process ends, however it ends. ``in_use`` if another one still holds it
+    after ``wait_s``, which is for ever if negative; WriteError if the folder cannot be written."""
     lock = FileLock(file)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

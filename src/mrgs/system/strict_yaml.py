@@ -44,11 +44,6 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def first_difference(first: Mapping[str, Any], second: Mapping[str, Any]) -> str | None:
-    """The name under which two flat mappings differ first; None if they do not."""
-    return next((name for name in [*first, *second] if first.get(name) != second.get(name)), None)
-
-
 def read_yaml(cls: type[Config], text: str, source: str, base: Config | None = None) -> Config:
     """The dataclass that ``write_yaml`` wrote, or a part of one over another of the same kind, the
     ``base``; ``source`` is the file's name, for messages. ConfigError if it is not YAML, or has a

@@ -26,7 +26,7 @@ from mrgs.scene import Scene
 from mrgs.system.atomic import write_text
 from mrgs.system.disk import read_text
 from mrgs.system.gpu import DeviceName
-from mrgs.system.strict_yaml import first_difference, flat, parse_yaml
+from mrgs.system.strict_yaml import flat, parse_yaml
 from mrgs.system.wording import counted
 from mrgs.training import make_config
 from mrgs.training.start import Hooks, TrainOptions
@@ -101,7 +101,8 @@ def require_same_config(folder: Path, config: RunConfig, scores: Scores | None) 
         return
     found = run.read_config(method_of(run).read_config)
     there, here = (flat(dataclasses.asdict(cast(Any, each))) for each in (found, config))
-    if (name := first_difference(here, there)) is not None:
+    differ = (name for name in [*here, *there] if here.get(name) != there.get(name))
+    if (name := next(differ, None)) is not None:
         raise ConfigError(
             f"{folder} holds a run with another configuration ({name} is {there.get(name)} "
             f"there and {here.get(name)} here): choose another folder, or remove this one",
