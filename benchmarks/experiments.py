@@ -14,7 +14,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from statistics import mean, stdev
+from statistics import geometric_mean, mean, stdev
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +28,8 @@ from mrgs.scene import THERMAL
 
 RESULTS = Path(__file__).parent / "results" / "compare"
 LEVEL = 0.95
+FEWEST = 3
+"""With fewer scenes there is no interval."""
 
 ERROR_RATIO = "truth.ratio_after_a_constant"
 """See ``error_ratio``; ``mrgs compare`` has the ratio without a constant."""
@@ -144,8 +146,9 @@ def interval(differences: Sequence[float]) -> tuple[float, float]:
 
 
 def table(kept: Kept) -> str:
-    """The table in Markdown: of each method the mean over the scenes ± standard deviation over the
-    seeds, and the mean of its differences to the baseline, paired by scene, with their interval."""
+    """The table in Markdown: of each method that all scenes have, the mean over the scenes ±
+    standard deviation over the seeds; of every method, the mean of its differences to the baseline,
+    paired by scene, with its interval, or with fewer than three scenes the difference of each."""
     runs, baseline = kept["runs"], kept["baseline"]
     methods = sorted({run["method"] for run in runs}, key=[run["method"] for run in runs].index)
     scenes = sorted({run["scene"] for run in runs})
@@ -167,7 +170,7 @@ def table(kept: Kept) -> str:
             if not found or not all(found + compared):
                 cells += ["–", "" if method == baseline else "–"]
                 continue
-            cells.append(_mean_text(found, column))
+            cells.append(_mean_text(found, column) if len(own) == len(scenes) else "–")
             cells.append("" if method == baseline else _compared(found, compared, column))
         lines.append("| " + " | ".join(cells) + " |")
     counts = sorted(Counter((run["scene"], run["method"]) for run in runs).values())
@@ -180,35 +183,36 @@ def table(kept: Kept) -> str:
 def _compared(
     found: Sequence[Sequence[float]], others: Sequence[Sequence[float]], column: Column
 ) -> str:
-    """How a method's scenes differ from another's: the mean, and its interval if there are
-    several."""
+    """How a method's scenes differ from another's: the mean and its interval, or each of them."""
     means = [(mean(a), mean(b)) for a, b in zip(found, others, strict=True)]
     if not column.is_ratio:
         return difference_text([a - b for a, b in means], column.decimals)
-    logs = [math.log(a / b) for a, b in means]
-    text = f"{100 * math.exp(mean(logs)):.0f} %"
-    if len(logs) > 1:
-        middle, half = interval(logs)
-        low, high = (100 * math.exp(middle + sign * half) for sign in (-1, 1))
-        text += f" ({low:.0f} to {high:.0f})"
-    return text
+    if len(means) < FEWEST:
+        return ", ".join(f"{100 * a / b:.0f}" for a, b in means) + " %"
+    middle, half = interval([math.log(a / b) for a, b in means])
+    low, high = (100 * math.exp(middle + sign * half) for sign in (-1, 1))
+    shown = "" if abs(middle) > half else ", not shown"
+    return f"{100 * math.exp(middle):.0f} % ({low:.0f} to {high:.0f}{shown})"
 
 
 def difference_text(differences: Sequence[float], decimals: int) -> str:
-    """The mean difference, and its interval if there are several; in words where that holds
-    zero."""
-    if len(differences) == 1:
-        return f"{differences[0]:+.{decimals}f}".replace("-", "−")
+    """The mean difference and its interval, and in words whether that holds zero; of fewer than
+    three, each."""
+    if len(differences) < FEWEST:
+        return ", ".join(f"{each:+.{decimals}f}" for each in differences).replace("-", "−")
     middle, half = interval(differences)
     text = f"{middle:+.{decimals}f} ± {half:.{decimals}f}".replace("-", "−")
     return f"{text} (not shown)" if abs(middle) <= half else text
 
 
 def _mean_text(found: Sequence[Sequence[float]], column: Column) -> str:
-    """The mean over the scenes ± standard deviation over the seeds that all of them have."""
-    means = [mean(of_seed) for of_seed in zip(*found, strict=False)]  # a seed may have failed
+    """The mean over the scenes, a geometric one of ratios, ± standard deviation over the seeds that
+    all of them have."""
+    average = geometric_mean if column.is_ratio else mean
+    means = [average(of_seed) for of_seed in zip(*found, strict=False)]  # a seed may have failed
     spread = f" ± {stdev(means):.{column.decimals}f}" if len(means) > 1 else ""
-    return f"{mean(map(mean, found)):.{column.decimals}f}{spread} {column.unit}".rstrip()
+    middle = average([mean(of_scene) for of_scene in found])
+    return f"{middle:.{column.decimals}f}{spread} {column.unit}".rstrip()
 
 
 def _of_scene(

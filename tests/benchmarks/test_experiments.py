@@ -24,6 +24,7 @@ def test_the_interval_is_that_of_a_paired_t_test():
 def test_a_difference_whose_interval_holds_zero_is_not_shown():
     assert experiments.difference_text([1.0, 1.2, 1.4], 1) == "+1.2 ± 0.5"
     assert experiments.difference_text([-1.0, 1.2, 0.1], 1) == "+0.1 ± 2.7 (not shown)"
+    assert experiments.difference_text([-1.0, 1.2], 1) == "−1.0, +1.2"
 
 
 def kept(**changes) -> experiments.Kept:
@@ -58,21 +59,21 @@ def test_a_table_pairs_the_scenes_and_spreads_over_the_seeds():
     head, _, first, second, _, note = experiments.table(kept()).splitlines()
     assert head.startswith("| | thermal, matched | to `a` |")
     assert first.startswith("| `a` | 3.25 ± 1.06 dB |  |")
-    assert second.startswith("| `b` | 4.25 ± 1.06 dB | +1.00 ± 0.00 |")
+    assert second.startswith("| `b` | 4.25 ± 1.06 dB | +1.00, +1.00 |")
     assert "2 scenes" in note
 
 
 def test_scenes_count_alike_and_the_numbers_of_trainings_are_said_where_they_differ():
     runs = [run for run in kept()["runs"] if (run["scene"], run["seed"]) != ("y", 1)]
     *_, second, _, note = experiments.table(kept(runs=runs)).splitlines()
-    assert second.startswith("| `b` | 3.75 dB | +1.00 ± 0.00 |")  # of 2 and 3, and of 5
+    assert second.startswith("| `b` | 3.75 dB | +1.00, +1.00 |")  # of 2 and 3, and of 5
     assert "trainings of each: 1 to 2;" in note
 
 
 def test_a_method_that_not_all_scenes_have_is_compared_on_its_own():
     runs = [run for run in kept()["runs"] if (run["method"], run["scene"]) != ("b", "y")]
     lines = experiments.table(kept(runs=runs)).splitlines()
-    assert lines[3].startswith("| `b`, 1 of them | 2.50 ± 0.71 dB | +1.00 |")
+    assert lines[3].startswith("| `b`, 1 of them | – | +1.00 |")
 
 
 def test_a_figure_that_a_scene_lacks_is_a_dash():
@@ -85,7 +86,12 @@ def test_a_figure_that_a_scene_lacks_is_a_dash():
 
 def test_ratios_are_geometric_means():
     column = experiments.Column("gaussians_k", "Gaussians", 0, "K", is_ratio=True)
-    assert experiments._compared([[2.0], [2.0]], [[1.0], [4.0]], column).startswith("100 % (")
+    assert experiments._compared([[2.0]] * 3, [[1.0], [4.0], [2.0]], column) == (
+        "100 % (18 to 559, not shown)"
+    )
+    assert experiments._compared([[1.0], [1.1], [0.9]], [[2.0]] * 3, column) == "50 % (39 to 64)"
+    assert experiments._mean_text([[1.0], [4.0]], column) == "2 K"
+    assert experiments._compared([[2.0], [2.0]], [[1.0], [4.0]], column) == "200, 50 %"
     assert experiments._compared([[3.0]], [[4.0]], column) == "75 %"
 
 
