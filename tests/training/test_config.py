@@ -185,6 +185,8 @@ def test_methods_are_the_rows_of_the_ablation_table():
         (config.shares_opacity, config.temperature_sh_degree) == (False, 0)
         for config in rows.values()
     )
+    assert plus.densification.split_longest
+    assert not any(each.densification.split_longest for each in (baseline, *rows.values()))
     assert all(
         (config.dilation_px2, config.angular_dilation) == (0.3, False)
         for config in (baseline, *rows.values())

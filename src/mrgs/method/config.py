@@ -252,6 +252,7 @@ def _plus(config: TrainConfig) -> TrainConfig:
         field=replace(config.field, residuals=False, clamp_temperature=False),
         radiation=None,
         loss=replace(config.loss, **PLUS_LOSS),
+        densification=replace(config.densification, split_longest=True),
         image_model=ImageModelConfig(
             radiance=True,
             air=True,

@@ -111,6 +111,38 @@ def test_halves_are_drawn_from_the_rotated_gaussian():
     assert places.mean(dim=0).norm() < 0.03 * LARGE
 
 
+def test_split_along_the_longest_axis_the_halves_lie_beside_each_other():
+    optimizer = build([SMALL, LARGE, LARGE], [0.5, 0.8, 0.5], [0.5, 0.4, 0.5])
+    before = {
+        name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()
+    }
+    counts, after = run(optimizer, [1.5, 1.5, 0.5], replace(CONFIG, split_longest=True))
+    assert counts == {"cloned": 0, "split": 2, "pruned": 0}
+    assert torch.equal(after.means[0], before["means"][2])
+    scales = before["log_scales"][1].exp()
+    shares = torch.tensor([0.5, 0.85, 0.85])  # the first axis is the longest
+    torch.testing.assert_close(after.log_scales[3:].exp(), (scales * shares).expand(2, 3))
+    axis = rotation_matrices(before["quats"][1:2])[0, :, 0]
+    offsets = after.means[3:] - before["means"][1]
+    torch.testing.assert_close(offsets[0], -offsets[1])
+    torch.testing.assert_close(offsets[0], scales[0] * math.sqrt(0.75) * axis)
+    assert after.opacity(RGB)[3:].tolist() == pytest.approx([0.48, 0.48])
+    assert after.opacity(THERMAL)[3:].tolist() == pytest.approx([0.24, 0.24])
+
+
+def test_halves_are_together_as_long_as_their_parent():
+    _, after = run(build([LARGE]), [1.5], replace(CONFIG, split_longest=True))
+    own = after.log_scales[0, 0].exp() ** 2
+    apart = (after.means[0] - after.means[1]).norm() / 2
+    assert (own + apart**2).item() == pytest.approx(LARGE**2, rel=1e-5)
+
+
+def test_none_is_split_where_no_gradient_is_large():
+    counts, after = run(build([SMALL, LARGE]), [0.5, 0.5], replace(CONFIG, split_longest=True))
+    assert counts == {"cloned": 0, "split": 0, "pruned": 0}
+    assert len(after) == 2
+
+
 @pytest.mark.parametrize(("prune_unshared", "left"), [(False, [1, 2, 3]), (True, [3])])
 def test_transparent_in_both_modalities_is_pruned_or_in_any(prune_unshared, left):
     transparent, opaque = 0.004, 0.006

@@ -4,13 +4,14 @@ summed over a fused pass's blends; where cameras differ, both passes' norms are 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int64
-from torch import Tensor
+from torch import Tensor, nn
 
 from mrgs.errors import ConfigError
 from mrgs.method.density.strategy import DensityStep, DensityUpdate, Strategy, StrategyState
@@ -20,9 +21,12 @@ from mrgs.scene import Gaussians
 from mrgs.scene.arrays import constant
 from mrgs.system.strict_yaml import MOST_STEPS, MOST_WEIGHT, require_within
 
-SPLIT_INTO = 2
 SPLIT_SHRINK = 1.6
 """A split Gaussian becomes two, each 1.6 times smaller (3DGS)."""
+
+HALF_LENGTH, HALF_WIDTH, HALF_OPACITY = 0.5, 0.85, 0.6
+"""Sizes and opacities of the halves of a Gaussian that is split along its longest axis, as shares
+of its own."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,8 @@ class AdaptiveDensityControl(Strategy):
             densifies.
         clone_below: Gaussians smaller than this share of the scene's extent are cloned, larger ones
             split.
+        split_longest: all of them are split instead, along the longest axis, into halves side by
+            side (docs/decisions, 075).
         prune_opacity: Gaussians are removed if no modality's opacity reaches this.
         prune_unshared: also if one modality's does not (docs/decisions, 009).
         prune_above: Gaussians larger than this share of the extent are removed, after the first
@@ -57,6 +63,7 @@ class AdaptiveDensityControl(Strategy):
     every: int = 100
     gradient_threshold: float = 2e-4
     clone_below: float = 0.01
+    split_longest: bool = False
     prune_opacity: float = 0.005
     prune_unshared: bool = False
     prune_above: float = 0.1
@@ -159,8 +166,8 @@ def densify(
     prunes_large: bool,
     generator: torch.Generator,
 ) -> RowChange:
-    """Clone small and split large Gaussians whose screen-space gradient is large; remove
-    transparent ones.
+    """Clone small and split large Gaussians whose screen-space gradient is large, or split all of
+    these along their longest axes; remove transparent ones.
 
     Args:
         gradients: mean norm of each Gaussian's screen-space gradient.
@@ -170,9 +177,11 @@ def densify(
     """
     sizes = gaussians.scales.max(dim=1).values
     chosen = _within_budget(gradients, config, len(gaussians))
-    is_large = sizes > config.clone_below * extent
-    cloned, split = (chosen & ~is_large).nonzero()[:, 0], (chosen & is_large).nonzero()[:, 0]
-    added = gaussians.rows(cloned).followed_by(_split(gaussians.rows(split), generator))
+    splits = chosen & (config.split_longest | (sizes > config.clone_below * extent))
+    cloned, split = (chosen & ~splits).nonzero()[:, 0], splits.nonzero()[:, 0]
+    parents = gaussians.rows(split)
+    halves = _halves(parents) if config.split_longest else _split(parents, generator)
+    added = gaussians.rows(cloned).followed_by(halves)
     survives = ~_is_superfluous(gaussians, config, extent, prunes_large)
     added_survives = ~_is_superfluous(added, config, extent, prunes_large)
     pruned = int((~survives).sum() + (~added_survives).sum())
@@ -209,12 +218,14 @@ def _is_superfluous(
     return superfluous
 
 
+def _twice(gaussians: Gaussians) -> Gaussians:
+    rows = torch.arange(len(gaussians), device=gaussians.means.device)
+    return gaussians.rows(rows.repeat_interleave(2))
+
+
 def _split(gaussians: Gaussians, generator: torch.Generator) -> Gaussians:
     """Two smaller Gaussians for each, at places drawn from it."""
-    tensors = gaussians.tensors().items()
-    halves = gaussians.with_tensors(
-        {name: tensor.repeat_interleave(SPLIT_INTO, 0) for name, tensor in tensors}
-    )
+    halves = _twice(gaussians)
     means = halves.means
     # Drawn on the host, so that they do not depend on the device, and copied without waiting.
     normal = torch.randn(means.shape, generator=generator, pin_memory=means.is_cuda)
@@ -224,9 +235,23 @@ def _split(gaussians: Gaussians, generator: torch.Generator) -> Gaussians:
     return halves
 
 
+def _halves(gaussians: Gaussians) -> Gaussians:
+    """Two for each, side by side along its longest axis; together they are as long as it is, by the
+    variance along that axis."""
+    halves = _twice(gaussians)
+    longest = nn.functional.one_hot(halves.log_scales.argmax(dim=1), 3)
+    sides = 1 - 2 * torch.arange(len(longest), device=longest.device).remainder(2)[:, None]
+    apart = math.sqrt(1 - HALF_LENGTH**2) * sides * longest * halves.scales
+    halves.means += _rotate(halves.quats, apart)
+    halves.log_scales += (HALF_LENGTH * longest + HALF_WIDTH * (1 - longest)).log()
+    for modality, logits in halves.opacity_logits.items():
+        halves.opacity_logits[modality] = (HALF_OPACITY * logits.sigmoid()).logit()
+    return halves
+
+
 def _rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     """Vectors rotated by quaternions wxyz: v + 2w (r × v) + 2 r × (r × v)."""
-    unit = torch.nn.functional.normalize(quats, dim=1)
+    unit = nn.functional.normalize(quats, dim=1)
     w, r = unit[:, :1], unit[:, 1:]
     crossed = torch.linalg.cross(r, vectors)
     return vectors + 2 * (w * crossed + torch.linalg.cross(r, crossed))
