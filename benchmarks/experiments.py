@@ -173,8 +173,8 @@ def table(kept: Kept) -> str:
             cells.append(_mean_text(found, column) if len(own) == len(scenes) else "–")
             cells.append("" if method == baseline else _compared(found, compared, column))
         lines.append("| " + " | ".join(cells) + " |")
-    counts = sorted(Counter((run["scene"], run["method"]) for run in runs).values())
-    seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
+    counts = Counter((run["scene"], run["method"]) for run in runs).values()
+    seeds = " to ".join(map(str, sorted({min(counts), max(counts)})))
     count = f"n = {len(scenes)} scene{'s' if len(scenes) > 1 else ''}"
     lines += ["", f"{count}, trainings of each: {seeds}; commit {kept['commit']}."]
     return "\n".join(lines) + "\n"

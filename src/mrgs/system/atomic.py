@@ -91,7 +91,7 @@ def locked(
 ) -> Iterator[None]:
     """Within this block no other process holds a lock file, whose folder is made; the system
     releases it when the process ends, however it ends. ``in_use`` if another one still holds it
-    after ``wait_s``, which is for ever if negative; WriteError if the folder cannot be written."""
+    after ``wait_s``, which is forever if negative; WriteError if the folder cannot be written."""
     lock = FileLock(file)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

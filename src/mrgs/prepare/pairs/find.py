@@ -131,9 +131,8 @@ def _left_out(inventory: Inventory, pairs: Sequence[Pair]) -> Iterator[str]:
 def _names(pairs: Sequence[Pair]) -> list[str]:
     """A name of each pair: its reference photo's, without the camera's suffix."""
     photos = [pair.reference for pair in pairs]
-    keys = [read_stem(photo.origin.name, photo.is_thermal).key for photo in photos]
-    named = zip(keys, (photo.origin for photo in photos), strict=True)
-    return view_names([origin.with_name(key) if key else origin for key, origin in named])
+    named = [(each.origin, read_stem(each.origin.name, each.is_thermal).key) for each in photos]
+    return view_names([origin.with_name(key) if key else origin for origin, key in named])
 
 
 def _match(inventory: Inventory, rule: PairRule, tolerance_s: float) -> Match:
