@@ -11,18 +11,15 @@ from mrgs.errors import KernelWarning
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.rasterizer import Geometry, contract, median_depth, rasterize, reference
 from mrgs.rasterizer.contract import Dilation
-from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
+from mrgs.render import Model, bake_temperature_residuals, render, shared_passes
 from mrgs.scene import (
     RGB,
     THERMAL,
     Camera,
     Gaussians,
     Modality,
-    Pixels,
-    PosedImage,
     Rendering,
     TemperatureRange,
-    View,
 )
 from mrgs.scene.radiometry import BandRadiance
 from mrgs.system.operation import checking
@@ -272,15 +269,6 @@ def test_a_model_is_drawn_with_its_own_dilation():
     published, own = images.values()
     for modality in published:
         assert own[modality].alpha.sum() < 0.99 * published[modality].alpha.sum()
-
-
-def test_a_view_is_rendered_without_gradients():
-    model, camera = make_model(), make_camera()
-    image = PosedImage(camera, lambda: Pixels(torch.zeros(26, 33, 3)))
-    rendering = render_view(model, View("a", {RGB: image}))
-    assert list(rendering) == [RGB]
-    assert not any(image.requires_grad for image in images_of(rendering).values())
-    assert_same(images_of(rendering), images_of(render(model, {RGB: camera})[0]))
 
 
 def test_an_empty_pixel_is_black_and_as_cold_as_the_range_begins():

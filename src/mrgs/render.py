@@ -17,7 +17,7 @@ from mrgs.field import RadianceField
 from mrgs.rasterizer import Geometry, Layer, Raster, contract, median_depth, rasterize
 from mrgs.rasterizer.contract import Dilation
 from mrgs.rasterizer.pose_gradient import with_pose_gradient
-from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering, View
+from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering
 from mrgs.scene.radiometry import BandRadiance
 
 ALL_ROWS_FROM = 0.9
@@ -124,12 +124,6 @@ def bake_temperature_residuals(model: Model) -> Model:
             model.gaussians, model.neighbours, color_degree=model.sh_degree
         )
     return replace(model, temperature_residuals=residuals)
-
-
-def render_view(model: Model, view: View) -> Rendering:
-    """Render a view from its own cameras; no gradients are kept."""
-    with torch.no_grad():
-        return render(model, view.cameras, with_median_depth=True)[0]
 
 
 def render(

@@ -15,7 +15,7 @@ from mrgs.evaluation import evaluate_run, render_run, score_run
 from mrgs.evaluation.report import ScoredData
 from mrgs.evaluation.score_run import PathOptions, facts_of, score_views
 from mrgs.pictures.files import to_picture, to_rgb8
-from mrgs.render import render, render_view
+from mrgs.render import render
 from mrgs.run_files.facts import CheckpointFacts, fingerprints
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run
@@ -92,7 +92,7 @@ def test_where_poses_are_wrong_there_are_scores_with_aligned_ones(tmp_path):
 def test_rendered_temperatures_are_those_of_the_model(run):
     folder = render_run(run, "eval")
     view = run.load_scene().eval[0]
-    expected = run.temperatures_c(render_view(run.model, view), min_alpha=0).numpy()
+    expected = run.temperatures_c(run.render_view(view), min_alpha=0).numpy()
     np.testing.assert_array_equal(pixels(folder / "temperature_c" / f"{view.name}.tiff"), expected)
     assert pixels(folder / "rgb" / f"{view.name}.png").shape == (
         view.images[RGB].camera.height,

@@ -7,7 +7,6 @@ import torch
 
 from mrgs.evaluation.metrics import psnr
 from mrgs.export import baking_loss_db
-from mrgs.render import render_view
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Pixels, Rendering, View
 
@@ -17,7 +16,7 @@ def test_the_loss_is_the_mean_difference_to_the_photos(run, baked, scene):
     expected = []
     for view in scene.eval:
         photo = view.images[RGB].load().values
-        full = render_view(run.model, view)[RGB].image
+        full = run.render_view(view)[RGB].image
         expected.append(psnr(full, photo) - psnr(baked.render(view.cameras[RGB])[RGB].image, photo))
     assert loss[RGB] == pytest.approx(sum(expected) / len(expected), abs=1e-4)
     assert abs(loss[RGB]) < 0.5
@@ -52,7 +51,7 @@ def test_pixels_that_are_not_valid_do_not_count(run, baked, scene):
 
     found = baking_loss_db(run, baked, replace(scene, eval=(masked(first, 12), masked(second, 0))))
     photo = first.images[RGB].load().values[:12]
-    full = render_view(run.model, first)[RGB].image[:12]
+    full = run.render_view(first)[RGB].image[:12]
     plain = baked.render(first.cameras[RGB])[RGB].image[:12]
     assert found[RGB] == pytest.approx(psnr(full, photo) - psnr(plain, photo), abs=1e-4)
 
@@ -71,6 +70,6 @@ def test_both_models_are_compared_as_the_cameras_would_have_recorded_them(run, b
     loss = baking_loss_db(darker, baked, replace(scene, eval=scene.eval[:1]))
     view = scene.eval[0]
     photo = view.images[RGB].load().values
-    full = 0.5 * render_view(run.model, view)[RGB].image
+    full = 0.5 * run.render_view(view)[RGB].image
     plain = 0.5 * baked.render(view.cameras[RGB])[RGB].image
     assert loss[RGB] == pytest.approx(psnr(full, photo) - psnr(plain, photo), abs=1e-4)

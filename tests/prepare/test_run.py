@@ -389,7 +389,7 @@ def test_the_page_shows_how_far_it_came(photos, fakes, tmp_path):
 
 def test_a_target_gives_metres(photos, fakes, tmp_path):
     def calibrate(*arguments) -> RigCalibration:
-        return replace(fakes.calibrate(*arguments), target=TargetFit(5, 5, (0.1, 0.2), 2.0))
+        return replace(fakes.calibrate(*arguments), target=TargetFit(5, (0.1, 0.2), 2.0))
 
     before = load_scene(fakes.prepare(photos, tmp_path / "scene").scene)
     options = PrepareOptions(target=ChessboardTarget((7, 6), 0.05))

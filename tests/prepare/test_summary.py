@@ -135,7 +135,7 @@ def test_a_thermal_camera_on_its_side_is_said(turn_deg, said):
 def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, offset, more):
     rig = calibration()
     if per_unit is not None:
-        rig = replace(rig, target=TargetFit(5, 5, (0.1, 0.2), per_unit))
+        rig = replace(rig, target=TargetFit(5, (0.1, 0.2), per_unit))
         more = ("5 pairs; residual 0.10 px", *more)
     summary = summarise_thermal_camera(rig, RGB, metric)
     line, *others = summary.lines

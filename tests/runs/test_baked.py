@@ -110,9 +110,8 @@ def test_what_of_the_temperatures_depends_on_the_view_is_left_out(residuals):
 def test_temperatures_are_celsius_where_the_scale_is_known():
     model = make_model()
     baked = bake(model, CAMERAS, TemperatureRange(10.0, 30.0))
-    torch.testing.assert_close(baked.temperatures_c, 10 + 20 * baked.temperatures)
-    with pytest.raises(ValueError, match="no °C"):
-        _ = bake(model, CAMERAS, None).temperatures_c
+    assert baked.temperature == TemperatureRange(10.0, 30.0)
+    assert bake(model, CAMERAS, None).temperature is None
 
 
 @pytest.mark.parametrize("sh_degree", [1, 3])

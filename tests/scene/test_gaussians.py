@@ -32,13 +32,6 @@ def test_a_modality_without_an_opacity_shares_that_of_the_first():
     assert "opacity_logit.thermal" not in gaussians.tensors()
 
 
-def test_harmonics_are_the_degrees_in_order():
-    gaussians = make()
-    assert torch.equal(gaussians.sh(RGB)[:, :1], gaussians.sh_dc[RGB])
-    assert torch.equal(gaussians.sh(RGB)[:, 1:], gaussians.sh_rest[RGB])
-    assert torch.equal(gaussians.sh(THERMAL), gaussians.sh_dc[THERMAL])
-
-
 def test_modalities_with_higher_degrees_depend_on_the_view(near_infrared):
     gaussians = random_gaussians(3, modalities=(RGB, THERMAL, near_infrared))
     assert gaussians.modalities == (RGB, THERMAL, near_infrared)

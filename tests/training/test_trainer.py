@@ -20,7 +20,7 @@ from mrgs.errors import ConfigError, DeviceError, MrgsWarning, RunError, SceneEr
 from mrgs.method.config import from_yaml
 from mrgs.method.density.adaptive import AdaptiveDensityControl
 from mrgs.method.losses.term import LossContext, Term
-from mrgs.render import render_view
+from mrgs.render import render
 from mrgs.run_files.checkpoint import load_facts
 from mrgs.run_files.facts import CheckpointFacts
 from mrgs.run_files.folder import RunFolder
@@ -141,7 +141,8 @@ def test_training_learns_the_scene(small_scene, tmp_path):
     scene = load_scene(small_scene)
     model, _, _ = load_model(folder.newest_checkpoint(), folder.read_config(from_yaml))
     for view in scene.eval:
-        rendering = render_view(model, view)
+        with torch.no_grad():
+            rendering, _ = render(model, view.cameras)
         photo = view.images[THERMAL].load().values
         assert (
             rendering[THERMAL].image - photo

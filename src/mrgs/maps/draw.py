@@ -207,9 +207,9 @@ def frame_map(
     picture.paste(legend, (width - MARGIN - legend.width, MARGIN))
     below = body.height + 2 * MARGIN
     if metres_per_px is not None:
-        _draw_length(picture, (MARGIN, below), body.width, metres_per_px, scale.decimal)
+        draw_length(picture, (MARGIN, below), body.width, metres_per_px, scale.decimal)
     if north_deg is not None:
-        _draw_north(picture, (MARGIN + body.width - 24, below + 10), north_deg)
+        draw_north(picture, (MARGIN + body.width - 24, below + 10), north_deg)
     return picture
 
 
@@ -226,7 +226,7 @@ def _fitted(image: Image.Image) -> tuple[Image.Image, float]:
     return image.resize(size, how), zoom
 
 
-def _draw_length(
+def draw_length(
     picture: Image.Image, position: tuple[int, int], width: int, metres_per_px: float, decimal: str
 ) -> None:
     """A bar of a round length in four fields, black and white in turn."""
@@ -253,7 +253,7 @@ def bar_length(width: int, metres_per_px: float, decimal: str) -> tuple[float, l
     return metres / metres_per_px, [zero, half, f"{whole} {unit}"]
 
 
-def _draw_north(picture: Image.Image, middle: tuple[float, float], angle_deg: float) -> None:
+def draw_north(picture: Image.Image, middle: tuple[float, float], angle_deg: float) -> None:
     """An arrow at an angle clockwise from up, with an N at its tip."""
     ahead = np.exp(1j * np.radians(angle_deg - 90))
 

@@ -75,12 +75,6 @@ def round_up(value: float, factors: tuple[float, ...] = (1, 2, 5, 10)) -> float:
     return next(factor * power for factor in factors if factor * power >= value * (1 - 1e-9))
 
 
-def round_down(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not larger."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(factor * power for factor in (1, 2, 5) if factor * power <= value * (1 + 1e-9))
-
-
 def tick_labels(ticks: list[float], decimal: str = ".") -> list[str]:
     """The ticks as text with one number of decimals, as few as tell them exactly (at most six),
     behind the sign ``decimal``."""

@@ -23,7 +23,7 @@ from mrgs.marks.store import judged_content
 from mrgs.method.config import DEFAULT_METHOD
 from mrgs.pipeline.plan import QUALITIES, Intake, Monitor, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
-from mrgs.prepare.contract import CACHE_FOLDER
+from mrgs.prepare.contract import CACHE_FOLDER, Progress
 from mrgs.prepare.page.check import check_scene
 from mrgs.report import report_run
 from mrgs.run_files.folder import RunFolder
@@ -45,9 +45,6 @@ CONTENTS = "contents.json"
 
 PAGE_FORMAT, PREPARE = "page", "prepare"
 
-Report = Callable[[str, int, int], None]
-"""Called with a part's name, how much of it is done, and of how much (0 if not known)."""
-
 
 @dataclass(frozen=True)
 class Stage:
@@ -56,7 +53,7 @@ class Stage:
 
     name: str
     made_from: Callable[[], str]
-    run: Callable[[Report], Sequence[Path]]
+    run: Callable[[Progress], Sequence[Path]]
 
 
 class Job:
@@ -140,7 +137,7 @@ class Job:
         folder = self.scene.parent if self.scene.is_file() else self.scene
         return self.ledger.contents_of(folder, without=(CACHE_FOLDER, "*.html"))
 
-    def _prepare(self, report: Report) -> list[Path]:
+    def _prepare(self, report: Progress) -> list[Path]:
         made_from = self._made_from_source()
         made = self._prepared(report)
         self.ledger.begin(PREPARE, made_from)  # until it is accepted, all of it is in the cache
@@ -151,7 +148,7 @@ class Job:
         self._require_accepted([f"{title}: {text}" for text, title in titles.items()], made.page)
         return [self.scene / "transforms.json", made.page]
 
-    def _prepared(self, report: Report) -> Preparation:
+    def _prepared(self, report: Progress) -> Preparation:
         """The scene, after the monitor was asked for what the photos lack."""
         source, prepared = self.intake.source, self.monitor.prepared
         try:
@@ -162,7 +159,7 @@ class Job:
         self.options = completed
         return self._prepared(report)
 
-    def _check(self, report: Report) -> list[Path]:
+    def _check(self, report: Progress) -> list[Path]:
         found = check_scene(self.scene, report, self.output)
         texts: dict[Severity, list[str]] = {"error": [], "warning": [], "note": []}
         for problem in found.problems:
@@ -185,7 +182,7 @@ class Job:
                 options=("yes",),
             )
 
-    def _train(self, report: Report) -> list[Path]:
+    def _train(self, report: Progress) -> list[Path]:
         folder, own = RunFolder(self.model), self.stages[1]
         resume = bool(folder.checkpoints())
         if resume and not self.ledger.is_begun(own.name, own.made_from):
@@ -231,14 +228,14 @@ class Job:
     def _loaded(self) -> Scene:
         return self._run.load_scene()
 
-    def _score(self, report: Report) -> list[Path]:
+    def _score(self, report: Progress) -> list[Path]:
         if not self._loaded.eval:
             return []
         report("scoring", 0, len(self._loaded.eval))
         evaluate_run(self._run, progress=lambda done, total: report("scoring", done, total))
         return [self.model / "eval" / name for name in ("metrics.json", "contact_sheet.png")]
 
-    def _render(self, report: Report) -> list[Path]:
+    def _render(self, report: Progress) -> list[Path]:
         folder = render_run(
             self._cropped,
             "eval" if self._loaded.eval else "train",
@@ -246,10 +243,10 @@ class Job:
         )
         return [path for path in folder.rglob("*") if path.is_file()]
 
-    def _report(self, report: Report) -> list[Path]:
+    def _report(self, report: Progress) -> list[Path]:
         return [report_run(self._cropped, scene=self._loaded, progress=_named_parts(report))]
 
-    def _exports(self, report: Report) -> list[Path]:
+    def _exports(self, report: Progress) -> list[Path]:
         formats = []
         for name, format in FORMATS.items():
             with suppress(ConfigError):  # the plan has a note about it
@@ -257,12 +254,12 @@ class Job:
                 formats.append(name)
         return self._exported([name for name in formats if name != PAGE_FORMAT], report)
 
-    def _exported(self, formats: list[str], report: Report) -> list[Path]:
+    def _exported(self, formats: list[str], report: Progress) -> list[Path]:
         folder, progress = self.model / "export", _named_parts(report)
         return export(self._cropped, self._loaded, formats, folder, progress=progress)
 
 
-def _named_parts(report: Report) -> Callable[[int, int, str], None]:
+def _named_parts(report: Progress) -> Callable[[int, int, str], None]:
     """A callback for work that reports its parts as they begin, by number and name."""
     return lambda number, total, name: report(name, 0, 0)
 

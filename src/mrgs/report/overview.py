@@ -13,7 +13,15 @@ from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.maps.crs import LOCAL, coordinate_system
-from mrgs.maps.draw import OrthographicMap, draw_map, frame_map, map_body, map_scale
+from mrgs.maps.draw import (
+    OrthographicMap,
+    draw_length,
+    draw_map,
+    draw_north,
+    frame_map,
+    map_body,
+    map_scale,
+)
 from mrgs.maps.facade import facade_grid
 from mrgs.maps.options import MapOptions
 from mrgs.maps.surfaces import grid_from_above, seen_surfaces
@@ -24,7 +32,7 @@ from mrgs.pictures import drawing
 from mrgs.pictures.drawing import LABEL_PX, RING_PX, Scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.html import InlineImage, inline_image
-from mrgs.pictures.palette import PaletteName, display_range, round_down
+from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.values import in_unit, unit_label
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
@@ -127,14 +135,14 @@ class Plan:
         self._scale = float((size / np.maximum(self._high - self._low, 1e-9)).min())
         self._ground = self._draw_ground(flat, colors[::step])
 
-    def whole(self, marks: Mapping[str, Mark]) -> Image.Image:
+    def whole(self, marks: Mapping[str, Mark], decimal: str = PLAIN.decimal) -> Image.Image:
         """The plan with all marks under their names."""
         image = self._ground.copy()
         for mark in marks.values():
             draw_place(image, mark, self._pixels(self._flat(mark)), LABEL_PX / 4)
         middles = {name: self._pixels(self._flat(m)).mean(axis=0) for name, m in marks.items()}
         drawing.draw_names(image, middles)
-        self._draw_scale(image)
+        self._draw_scale(image, decimal)
         return image
 
     def small(self, mark: Mark) -> Image.Image:
@@ -158,19 +166,13 @@ class Plan:
             draw.polygon([(x, y - 10), (x + 9, y + 6), (x - 9, y + 6)], fill=CAMERA, outline=WHITE)
         return image
 
-    def _draw_scale(self, image: Image.Image) -> None:
-        """A bar of a round length in m, and an arrow to the north, where the scene has them."""
-        draw, bottom = ImageDraw.Draw(image), image.height - 14
+    def _draw_scale(self, image: Image.Image, decimal: str) -> None:
+        """A bar of a round length, and an arrow to the north, where the scene has them."""
         if self._metric:
-            length = round_down(0.2 * WIDTH_PX / self._scale)
-            end = MARGIN_PX + length * self._scale
-            draw.line((MARGIN_PX, bottom, end, bottom), fill=drawing.INK, width=4)
-            drawing.draw_text(image, (end + 10, bottom + 4), f"{length:g} m", 20, drawing.MUTED)
+            bottom = image.height - MARGIN_PX
+            draw_length(image, (MARGIN_PX, bottom), WIDTH_PX, 1 / self._scale, decimal)
         if self._north and not self.from_the_front:
-            x, y = WIDTH_PX - MARGIN_PX, MARGIN_PX
-            arrow = [(x, y - 30), (x + 11, y + 6), (x, y - 3), (x - 11, y + 6)]
-            draw.polygon(arrow, fill=drawing.INK)
-            drawing.draw_text(image, (x, y + 28), "N", 22, drawing.INK, anchor="ms")
+            draw_north(image, (WIDTH_PX - MARGIN_PX, MARGIN_PX + 10), 0.0)
 
     @property
     def _height(self) -> int:
@@ -429,7 +431,7 @@ def draw_places(
         size.append(pixel_cm_text(grid.pixel_m))
         image = inline_image(drawn.picture(marks, style), "map", quality=90)
     if plan is not None and not (drawn is not None and all(map(drawn.shows, marks.values()))):
-        whole = inline_image(plan.whole(marks), "plan", png=True)
+        whole = inline_image(plan.whole(marks, style.decimal), "plan", png=True)
     shown = []
     for each in views:
         text = ", ".join(each.seen) or each.view

@@ -178,7 +178,7 @@ def facts_to_resume(
     """The facts of a checkpoint that is resumed, updated to its scene as it is now. RunError if the
     scene has another number of images, another temperature range or more modalities. Other photos,
     poses or intrinsics are a MrgsWarning if ``accept_changes``, else a RunError."""
-    _raise_first(scene, _incompatible(facts, scene))
+    _raise_first(scene, incompatibilities(facts, scene))
     images = fingerprints(scene)
     if changed := changes(facts.images, images, scene):
         if not accept_changes:
@@ -196,14 +196,6 @@ def facts_to_resume(
     return facts._replace(scene=scene.path, capture=capture, images=images)
 
 
-def differences(facts: CheckpointFacts, scene: Scene) -> str:
-    """How a scene differs from the run's, for a message; empty if it does not. SceneError if a
-    photo cannot be read."""
-    for what, _ in _incompatible(facts, scene):
-        return f"it {what}"
-    return changes(facts.images, fingerprints(scene), scene)
-
-
 _AS_IT_WAS = "use that scene as it was"
 
 
@@ -212,7 +204,7 @@ def _raise_first(scene: Scene, problems: Iterable[tuple[str, str]]) -> None:
         raise RunError(f"{scene.name} {what}: {remedy}")
 
 
-def _incompatible(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
+def incompatibilities(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
     """Why a run cannot go on with a scene, each with a remedy."""
     yield from _mismatches(facts, scene)
     untrained = set(scene.modalities) - set(model_modalities(facts.modalities))

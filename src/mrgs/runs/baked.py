@@ -129,13 +129,6 @@ class BakedModel:
         """All coefficients of a modality, copied."""
         return torch.cat([self.sh_dc[modality], self.sh_rest[modality]], dim=1)
 
-    @property
-    def temperatures_c(self) -> Float[Tensor, " n"]:
-        """°C of each splat. ValueError if the scene has no known °C."""
-        if self.temperature is None:
-            raise ValueError("the scene has no temperature range, so there is no °C")
-        return self.temperature.to_celsius(self.temperatures)
-
     def base_values(self, modality: Modality) -> Float[Tensor, "n c"]:
         """The part of each splat's values that does not depend on the view, normalised, [N, C]: the
         temperatures, or the harmonics of degree 0."""

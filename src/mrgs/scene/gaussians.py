@@ -63,10 +63,6 @@ class Gaussians:
         """Whether a modality has harmonics above degree 0."""
         return self.sh_rest[modality].shape[1] > 0
 
-    def sh(self, modality: Modality) -> Float[Tensor, "n b c"]:
-        """All coefficients of a modality."""
-        return torch.cat([self.sh_dc[modality], self.sh_rest[modality]], dim=1)
-
     def to(self, device: torch.device) -> Gaussians:
         """Copies on a device, without gradients."""
         tensors = self.tensors().items()

@@ -73,7 +73,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Work:
     rig = RigCalibration(
         shots[0].images[THERMAL].lens,
         offset, tuple(RigView(name, still, 80, 0.5, 0.4) for name in names),
-        (0.6, 1.4), 0.4, 0.2, (), TargetFit(4, 0, (0.31, 0.7), None),
+        (0.6, 1.4), 0.4, 0.2, (), TargetFit(4, (0.31, 0.7), None),
     )  # fmt: skip
     georeference = Georeference(
         1.0, still[:3, :3], torch.zeros(3).double(), True, True, None, 0.4, "By GPS."

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from mrgs.check.problem import views_text
-from mrgs.pictures.palette import round_down
 from mrgs.prepare.page.temperatures import histogram, spread_chart, temperatures
 from mrgs.prepare.page.views import (
     EDGE_COLOR,
@@ -122,11 +121,6 @@ def test_a_drawing_from_the_side_looks_where_the_cameras_look():
     facts = orbit_facts(World({"a": camera(), "b": camera(1.0)}, set(), wall(5.0), True, False))
     side = np.reshape(facts["views"]["side"]["rotation"], (3, 3))
     np.testing.assert_allclose(side, np.eye(3), atol=1e-9)
-
-
-@pytest.mark.parametrize(("most", "length"), [(1.0, 1), (4.9, 2), (0.0999, 0.05), (730, 500)])
-def test_scale_bars_have_round_lengths(most, length):
-    assert round_down(most) == pytest.approx(length)
 
 
 def test_a_camera_alone_can_be_drawn():

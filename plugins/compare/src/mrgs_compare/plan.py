@@ -18,7 +18,7 @@ from mrgs.evaluation import evaluate_run
 from mrgs.evaluation.metrics import REPORTED, figure_names
 from mrgs.evaluation.report import ScoredData
 from mrgs.run_files.checkpoint import load_facts
-from mrgs.run_files.facts import CheckpointFacts, differences
+from mrgs.run_files.facts import CheckpointFacts, changes, fingerprints, incompatibilities
 from mrgs.run_files.folder import RunConfig, RunFolder
 from mrgs.runs.open import method_of, open_run
 from mrgs.runs.registry import find_method
@@ -160,7 +160,8 @@ def require_same_data(folder: Path, data: SceneData, scores: Scores | None) -> N
     elif (facts.images, facts.temperature) == (data.facts.images, data.facts.temperature):
         return  # without reading all photos for every run
     else:
-        changed = differences(facts, data.scene)
+        changed = next((f"it {what}" for what, _ in incompatibilities(facts, data.scene)), "")
+        changed = changed or changes(facts.images, fingerprints(data.scene), data.scene)
     if changed:
         raise ConfigError(
             f"{folder} holds a run of other data than {data.scene.name} has now ({changed}): "

@@ -122,14 +122,12 @@ class TargetFit:
 
     Attributes:
         pairs: number of pairs that show it in both images.
-        stationary: number of photos that show it at the same place in the world; 0 if it was moved.
         residual_px: median and 90 % quantile for its corners, in thermal pixels.
         metres_per_unit: of the scene; None unless the target is stationary and the width of its
             squares is known.
     """
 
     pairs: int
-    stationary: int
     residual_px: tuple[float, float]
     metres_per_unit: float | None
 

@@ -123,7 +123,6 @@ class LocatedTarget:
             residuals = torch.full((1,), torch.nan)
         return TargetFit(
             sum(sighting.thermal is not None for sighting in self.sightings),
-            self.stationary,
             (float(residuals.quantile(0.5)), float(residuals.quantile(0.9))),
             None if square_m is None or not self.stationary else square_m / self.square,
         )
