@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning, SceneError
@@ -123,13 +124,23 @@ def test_images_of_one_channel_alone_are_thermal(writer, mode, suffix):
 
 
 def test_bounds_make_the_only_images_thermal(writer):
+    Image.fromarray(np.full((HEIGHT, WIDTH, 3), 90, np.uint8)).save(writer.image("images/a.png"))
+    writer.bounds(0.0, 50.0)
+    writer.colmap(["a.png"], binary=True)
+    scene = load_scene(writer.root)
+    assert scene.modalities == (THERMAL,)
+    assert scene.temperature.max_c == 50.0
+
+
+def test_coloured_images_with_bounds_are_thermal_without_celsius(writer):
     writer.image("images/a.png")
     writer.bounds(0.0, 50.0)
     writer.colmap(["a.png"], binary=True)
-    with pytest.warns(MrgsWarning, match="images/ are taken for thermal"):
+    with pytest.warns(MrgsWarning, match="images/ are taken for thermal|colour palette") as told:
         scene = load_scene(writer.root)
+    assert len(told) == 2
     assert scene.modalities == (THERMAL,)
-    assert scene.temperature.max_c == 50.0
+    assert scene.temperature is None
 
 
 def test_a_thermal_folder_alone(writer):

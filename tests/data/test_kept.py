@@ -358,17 +358,6 @@ def test_after_a_full_pass_other_files_are_forgotten(photo, tmp_path):
     assert list(json.loads((tmp_path / "known.json").read_text())) == [str(photo)]
 
 
-def test_where_the_ctime_shows_no_change_files_are_read_by_each_call(
-    photo, tmp_path, read, monkeypatch
-):
-    monkeypatch.setattr(kept, "_CTIME_SHOWS_CHANGES", False)
-    for _ in range(2):
-        digests = Digests(tmp_path / "known.json")
-        assert [digests.of(photo) for _ in range(2)] == [sha(b"abc")] * 2
-        digests.save()
-    assert read.names == ["a.jpg", "a.jpg"]
-
-
 @pytest.mark.parametrize("known", ["", "[]", '{"a": 1}', '{"a": [1, 2, 3]}', "[" * 100_000])
 def test_a_damaged_memory_is_empty(photo, tmp_path, known, read):
     (tmp_path / "known.json").write_text(known)

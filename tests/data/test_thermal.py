@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mrgs.data import load_scene
 from mrgs.data.images import probe
 from mrgs.data.load import bounds_of_images, check_kinds, decode_thermal, read_bounds
 from mrgs.data.sources import ReadingNotes
-from mrgs.errors import SceneError
-from mrgs.scene import TemperatureRange
+from mrgs.errors import MrgsWarning, SceneError
+from mrgs.scene import THERMAL, TemperatureRange
+from tests.helpers.layouts import HEIGHT, WIDTH
 
 
 def celsius(path: Path, *values: float) -> Path:
@@ -132,3 +134,45 @@ def test_kinds_that_do_not_fit_together(tmp_path):
     assert check_kinds(kinds, True, notes) == "float"
     assert "luminance" in notes.all[0]
     assert check_kinds(kinds[:1], True, ReadingNotes()) == "grey"
+
+
+def centikelvin(writer, low_c: float = 21.8, high_c: float = 47.2) -> None:
+    """A scene whose thermal images are 16-bit K × 100."""
+    for index, name in enumerate(["a", "b", "c"]):
+        writer.image(f"images/{name}.png", seed=index)
+        celsius = np.linspace(low_c, high_c, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+        values = np.round(100 * (celsius + 273.15)).astype(np.uint16)
+        Image.fromarray(values).save(writer.image(f"thermal/{name}.png", "I;16"))
+    writer.colmap(["a.png", "b.png", "c.png"], binary=True)
+
+
+def test_centikelvin_are_read_as_such(writer):
+    centikelvin(writer)
+    with pytest.warns(MrgsWarning, match=r"taken for K × 100 \(22\.\d to 46\.9 °C\)"):
+        scene = load_scene(writer.root)
+    assert (scene.temperature.min_c, scene.temperature.max_c) == (21.0, 48.0)
+    values = scene.train[0].images[THERMAL].load().values
+    celsius = scene.temperature.to_celsius(values)
+    assert (celsius.min().item(), celsius.max().item()) == pytest.approx((21.8, 47.2), abs=0.3)
+
+
+def test_bounds_beside_what_looks_like_centikelvin_are_doubted(writer):
+    centikelvin(writer)
+    writer.bounds(20.0, 50.0)
+    with pytest.warns(MrgsWarning, match="If they are K × 100 .*, remove temperature_bounds"):
+        scene = load_scene(writer.root)
+    assert scene.temperature.max_c == 50.0
+
+
+def test_shades_of_16_bits_are_no_centikelvin(writer):
+    centikelvin(writer, -200.0, 300.0)
+    assert load_scene(writer.root).temperature is None
+
+
+def test_a_colour_palette_has_no_celsius_whatever_the_bounds_say(writer):
+    for name in ("images/a.png", "thermal/a.png"):
+        writer.image(name)
+    writer.bounds(20.0, 50.0)
+    writer.colmap(["a.png"], binary=True)
+    with pytest.warns(MrgsWarning, match="colour palette"):
+        assert load_scene(writer.root).temperature is None

@@ -60,7 +60,9 @@ def test_one_file_holds_both_opacities_and_the_temperature(tmp_path):
     rows = read_ply(write_combined_ply(tmp_path / "both.ply", shaded_splats(baked, RGB), baked))[1][
         "vertex"
     ]
-    np.testing.assert_allclose(rows["temperature_c"], baked.temperature.to_celsius(baked.temperatures), rtol=1e-6)
+    np.testing.assert_allclose(
+        rows["temperature_c"], baked.temperature.to_celsius(baked.temperatures), rtol=1e-6
+    )
     np.testing.assert_allclose(
         rows["opacity_thermal"], torch.logit(baked.opacities[THERMAL]), atol=1e-5
     )

@@ -56,7 +56,6 @@ class FlirPhoto:
     parameters: dict = field(default_factory=lambda: dict(PARAMETERS))
     info_fields: dict[int, bytes] = field(default_factory=dict)
     visible: bytes | None = None
-    alignment: tuple = (1.5, 3, -4, 10, 20, 30, 40)
     part_bytes: int = 65_525
     exif: Image.Exif | None = None
     raw_content: bytes | None = None
@@ -104,7 +103,6 @@ class FlirPhoto:
         found = {0x20: self.camera_info(), 0x01: self.raw_content or self.raw_data()}
         if self.visible is not None:
             found[0x0E] = struct.pack("<16H", 4, *[0] * 15) + self.visible
-            found[0x2A] = struct.pack("<f6h", *self.alignment).ljust(64, b"\0")
         return {kind: found[kind] for kind in found if kind not in self.without}
 
     def record(self) -> bytes:

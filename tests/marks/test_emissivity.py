@@ -255,7 +255,9 @@ def test_splats_of_a_region_are_corrected():
     capture = CaptureSettings(SurfaceSettings(0.95, 20.0), TYPICAL_LAW)
     corrected = Regions(Marks((BOX,)), render_wall, RANGE, capture).of_splats(baked)
     wanted = capture.corrected(np.array([21.5]), SurfaceSettings(0.6, -10.0))[0]
-    assert RANGE.to_celsius(corrected.temperatures).tolist() == pytest.approx([wanted, 24.5], abs=1e-3)
+    assert RANGE.to_celsius(corrected.temperatures).tolist() == pytest.approx(
+        [wanted, 24.5], abs=1e-3
+    )
 
 
 def test_points_of_a_region_are_corrected_by_the_later_of_two_marks():

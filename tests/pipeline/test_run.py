@@ -419,7 +419,7 @@ def test_a_new_photo_is_prepared(prepared, tmp_path):
 
 
 def test_missing_extras_are_noticed_before_the_first_stage(tmp_path, monkeypatch):
-    monkeypatch.setattr("mrgs.pipeline.run.installed_version", lambda: None)
+    monkeypatch.setattr("mrgs.prepare.sfm.reconstruct.find_spec", lambda name: None)
     photos = photos_in(tmp_path / "photos")
     with pytest.raises(ConfigError, match=r"\"mrgs\[sfm\]\""):
         run_pipeline(photos, quality="fast")

@@ -250,7 +250,7 @@ def test_a_discarded_run_leaves_what_is_not_its_own(folder):
 
 
 def test_ctrl_c_reaches_the_caller_where_the_lock_cannot_be_removed(folder, monkeypatch):
-    """Windows removes no file that is open."""
+    """As on some network drives while it is open."""
     unlink = Path.unlink
 
     def refuse(path: Path, missing_ok: bool = False) -> None:

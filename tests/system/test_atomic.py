@@ -18,8 +18,6 @@ from mrgs.system.atomic import (
     write_text,
 )
 
-on_posix = pytest.mark.skipif(atomic.fcntl is None, reason="no locks on folders here")
-
 
 def test_a_whole_file_appears_in_a_new_folder(tmp_path: Path) -> None:
     path = tmp_path / "a" / "b" / "file.txt"
@@ -64,14 +62,12 @@ def test_a_file_is_on_the_disk_before_it_takes_its_place(tmp_path: Path, monkeyp
     assert in_place == [False]
 
 
-@on_posix
 def test_nobody_else_can_read_what_is_being_written(tmp_path: Path) -> None:
     with replacing(tmp_path / "file.txt") as temporary:
         assert temporary.parent.stat().st_mode & 0o777 == 0o700
         temporary.write_text("whole")
 
 
-@on_posix
 def test_only_what_dead_processes_left_is_removed(tmp_path: Path) -> None:
     (tmp_path / f"{TEMPORARY}dead").mkdir()
     (tmp_path / f"{TEMPORARY}dead" / "file.txt").write_text("half")
@@ -97,7 +93,6 @@ def test_names_that_are_not_utf_8_come_back_from_json(tmp_path: Path) -> None:
     assert json.loads(path.read_text(encoding="utf-8")) == {"name": "\udcff é"}
 
 
-@on_posix
 def test_a_name_as_long_as_may_be_can_be_written(tmp_path: Path) -> None:
     path = tmp_path / f"a.{'x' * 253}"
     assert write_text(path, "whole").read_text() == "whole"

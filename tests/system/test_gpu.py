@@ -71,10 +71,8 @@ OBSTACLES = {
     "an old driver": ({"cuda": Cuda(failure=OLD_DRIVER)}, "CUDA 12.8"),
     "a hidden GPU": ({"cuda": Cuda(failure="No CUDA GPUs are available")}, "CUDA_VISIBLE_DEVICES"),
     "torch for the CPU": (WITHOUT_CUDA, "2.13.0+cpu"),
-    "torch for the CPU on Windows": (WITHOUT_CUDA | {"platform": "win32"}, "--index-url"),
     "an old GPU": ({"cuda": Cuda((6, 1), "GTX 1080")}, "GTX 1080"),
     "no Triton": ({"has_triton": False}, "install triton"),
-    "no Triton on Windows": ({"has_triton": False, "platform": "win32"}, "triton-windows"),
     "an old Triton": ({"triton_version": "3.3.1+gitc8757738"}, "3.3.1"),
     "no compiler": ({"has_compiler": False}, "gcc"),
     "no headers": ({"headers": [Path("/nowhere")]}, str(Path("/nowhere/Python.h"))),
@@ -92,7 +90,6 @@ def test_a_gpu_that_cannot_be_used_is_refused_with_what_would_mend_it(obstacle, 
         choose_device("cuda", machine._replace(**changes))
     message = str(caught.value)
     assert "CPU" in message
-    assert ("-windows" in message or "--index-url" in message) == ("on Windows" in obstacle)
 
 
 @obstacles
@@ -135,11 +132,6 @@ def test_a_compiler_is_found_by_its_name_or_by_the_variable(monkeypatch, tmp_pat
     assert not Machine().has_compiler
     monkeypatch.setenv("CC", "mine")
     assert Machine().has_compiler
-
-
-def test_on_windows_triton_brings_its_own_headers_and_compiler(machine):
-    there = machine._replace(headers=[Path("/nowhere")], has_compiler=False, platform="win32")
-    assert choose_device("cuda", there).type == "cuda"
 
 
 def test_there_is_no_cuda_on_a_mac(machine):

@@ -25,9 +25,9 @@ def pool():
 
 def queued(source: LiveSource, pool: ThreadPoolExecutor, job):
     """Ask for a job from another thread, and return when it waits for its turn."""
-    before = source.waiting
+    before = len(source._jobs)
     future = pool.submit(source.run, job)
-    while source.waiting == before and not future.done():
+    while len(source._jobs) == before and not future.done():
         threading.Event().wait(0.002)
     return future
 

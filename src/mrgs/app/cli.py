@@ -326,11 +326,10 @@ def _report(command: commands.Report) -> None:
 
 
 def _diff(command: commands.Diff) -> None:
-    from mrgs.pictures.numbers import number_text
     from mrgs.report.changes import HEADINGS, diff_runs
     from mrgs.report.copies import require_packages
     from mrgs.runs.open import load_run
-    from mrgs.system.wording import aligned, counted
+    from mrgs.system.wording import aligned, counted, number_text
 
     require_packages(command.pdf)
     first, second = (

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, cast
 
 CTRL_C = "Ctrl-C"
 
-SIGNALS = {"SIGINT": CTRL_C, "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP", "SIGBREAK": "Ctrl-Break"}
+SIGNALS = {"SIGINT": CTRL_C, "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP"}
 """Signals that end a command, where the system has them, and their names in messages."""
 
 _IMPORT_MACHINERY = "<frozen importlib._bootstrap>"

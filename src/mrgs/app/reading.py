@@ -12,8 +12,8 @@ from mrgs.app.terminal import print_note, say
 from mrgs.data.radiometric import ThermalPhoto, read_thermal_photo
 from mrgs.errors import ConfigError
 from mrgs.pictures.files import write_float_tiff
-from mrgs.pictures.numbers import number_text
 from mrgs.system.atomic import write_text
+from mrgs.system.wording import number_text
 
 
 def read(command: Read) -> None:

@@ -327,14 +327,10 @@ class Agreement:
     offset. The usual value of a point is the median over the images that see it.
 
     Attributes:
-        gain: of the image, relative to most.
-        offset: at the middle of the set's values, as a share of the set's range.
         error: median distance from the usual value, as a share of the set's range.
         corrected: the error after gain and offset have been removed.
     """
 
-    gain: float
-    offset: float
     error: float
     corrected: float
 
@@ -388,7 +384,7 @@ def _agreement(own: Float[np.ndarray, " n"], usual: Float[np.ndarray, " n"]) -> 
         weights = 1 / np.maximum(distance, 0.02)
     error = float(np.median(np.abs(y - x)))
     corrected = float(np.median(np.abs(y - gain * x - offset)))
-    return Agreement(float(gain), float(offset), error, corrected)
+    return Agreement(error, corrected)
 
 
 def jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem:

@@ -33,7 +33,7 @@ from mrgs.data.files import (
     read_bytes,
     without_image_suffix,
 )
-from mrgs.data.images import decode, probe
+from mrgs.data.images import decode, is_coloured, probe
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource, point_cloud
 from mrgs.data.transforms import BOUNDS_FILES
 from mrgs.errors import SceneError, scene_error
@@ -296,9 +296,6 @@ _THERMAL_WORD, _WORD = (
 )
 """The same names as words of paths, by which the images of one folder are told apart."""
 
-COLOURED = 0.01
-"""Standard deviation of the channels, 0 to 1, from which on an image is not grey."""
-
 Registered = dict[tuple[Modality, str], RegisteredImage]
 """Registered images by modality and key."""
 
@@ -396,8 +393,7 @@ def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list
     has_bounds = any(is_file(root / on_disk(root, bounds)) for bounds in BOUNDS_FILES)
     first = next(iter(images[0].files.values()))
     if has_bounds or all(probe(path).kind != "colour" for path in images[0].files.values()):
-        is_coloured = has_bounds and float(decode(first).values.std(dim=-1).mean()) > COLOURED
-        note = notes.repair if is_coloured else notes.decide
+        note = notes.repair if has_bounds and is_coloured(decode(first)) else notes.decide
         note(f"The images in {images[0].folder}/ are taken for thermal ones.")
         return [replace(images[0], modality=THERMAL)]
     return images

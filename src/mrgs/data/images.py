@@ -237,6 +237,15 @@ def with_channels(values: Float32[Tensor, "h w c"], channels: int) -> Float32[Te
     return values.expand(-1, -1, channels)
 
 
+def is_coloured(image: Decoded) -> bool:
+    """Whether an image has colours, more than JPEG compression leaves of shades of grey."""
+    return float(image.values.std(dim=-1, correction=0).mean()) > _COLOURED
+
+
+_COLOURED = 0.008
+"""Standard deviation of the channels, 0 to 1, from which on an image is not grey."""
+
+
 def eight_bit_levels(values: Float32[Tensor, "*shape"]) -> UInt8[Tensor, "*shape"] | None:
     """The 8-bit levels of which ``decode`` made these values; None if any value is not of these."""
     levels = (values * 255).round_().clamp_(0, 255)
@@ -282,13 +291,7 @@ def kind_of(image: Image.Image, path: Path) -> Kind:
     mode = image.mode
     if holds_numbers(image):
         return "float"
-    # Older Pillow versions open a 16-bit PNG with mode I; in a TIFF that mode means 32 bits, whose
-    # range is unknown.
-    if (
-        mode in {"1", "L", "LA", "La"}
-        or mode.startswith("I;16")
-        or (mode == "I" and image.format == "PNG")
-    ):
+    if mode in {"1", "L", "LA", "La"} or mode.startswith("I;16"):
         return "grey"
     if mode in {"P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "LAB", "HSV"}:
         return "colour"

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -35,8 +34,6 @@ Result = TypeVar("Result")
 
 FORMAT = 3
 """Raise it when results change their meaning: stored ones are then ignored."""
-
-_CTIME_SHOWS_CHANGES = os.name != "nt"
 
 Stamp = tuple[int, int, int]
 """Size in bytes, mtime and ctime (ns). An export may give a file its old size and mtime; the
@@ -219,14 +216,13 @@ _Digest: TypeAlias = tuple[int, int, int, str]
 
 class Digests:
     """Digests of files, remembered in a JSON ``file`` between calls, if it is readable: a file is
-    read again only if its stamp has changed. On Windows they are remembered within a call only."""
+    read again only if its stamp has changed."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
         self._saved: dict[str, _Digest] = {}
-        if _CTIME_SHOWS_CHANGES:
-            with suppress(OSError, msgspec.MsgspecError, RecursionError):
-                self._saved = msgspec.json.decode(read_text(file), type=dict[str, _Digest])
+        with suppress(OSError, msgspec.MsgspecError, RecursionError):
+            self._saved = msgspec.json.decode(read_text(file), type=dict[str, _Digest])
         self._known = dict(self._saved)
         self._asked: set[str] = set()
 
@@ -250,6 +246,6 @@ class Digests:
         pass over all files: those not asked for are gone."""
         if forget_others:
             self._known = {name: self._known[name] for name in self._known if name in self._asked}
-        if _CTIME_SHOWS_CHANGES and self._known != self._saved:
+        if self._known != self._saved:
             self._saved = dict(self._known)
             write_text(self._file, json.dumps(self._known))

@@ -21,7 +21,15 @@ from torch import Tensor
 
 from mrgs.data.colmap import FOLDERS, MODEL_FOLDERS, largest_model, read_colmap
 from mrgs.data.files import Number, contained, on_disk, read_json_object
-from mrgs.data.images import Decoded, Kind, decode, probe, with_channels
+from mrgs.data.images import (
+    Decoded,
+    Kind,
+    decode,
+    has_eight_bit_levels,
+    is_coloured,
+    probe,
+    with_channels,
+)
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.radiometric.measurement import masked
 from mrgs.data.radiometric.units import (
@@ -46,6 +54,7 @@ from mrgs.data.transforms import BOUNDS_FILES
 from mrgs.errors import ConfigError, scene_error, warn_user
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
+from mrgs.scene.radiometry import ZERO_CELSIUS_K
 from mrgs.scene.view import evenly_spaced
 from mrgs.system.memory import collector_paused
 from mrgs.system.typed_json import json_value
@@ -123,12 +132,12 @@ def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int
         )
     temperature = None
     if thermal_kinds:
-        temperature = read_bounds(source.root, notes)
-        kind = check_kinds(thermal_kinds, temperature is not None, notes)
-        if kind == "float":
-            numbers = _meaning_of(source, temperature)
-        if kind == "float" and temperature is None and numbers.unit is not None:
-            temperature = _measured_range(source, splits, numbers)
+        temperature = _scale(source, thermal_kinds)
+        has_unit = _are_centikelvin(thermal_kinds, temperature, notes)
+        if has_unit or check_kinds(thermal_kinds, temperature is not None, notes) == "float":
+            numbers = CENTIKELVIN if has_unit else _meaning_of(source, temperature)
+            if temperature is None and numbers.unit is not None:
+                temperature = _measured_range(source, splits, numbers)
 
     decoders: dict[Modality, Decoder] = {
         modality: partial(decode_intensities, channels=modality.channels)
@@ -177,7 +186,7 @@ def _checked_thermal_files(source: SceneSource) -> list[tuple[Path, Kind]]:
 
 @dataclass(frozen=True)
 class Numbers:
-    """What the numbers in float images mean.
+    """What the numbers in float images mean, or in those of integers, as ``decode`` scales them.
 
     Attributes:
         unit: None for values from 0 to 1 of which nothing else is known.
@@ -186,9 +195,53 @@ class Numbers:
 
     unit: Unit | None = CELSIUS
     without_zeros: bool = False
+    are_integers: bool = False
 
 
 IN_CELSIUS = Numbers()
+CENTIKELVIN = Numbers(Unit("kelvin", 100 / 65535), are_integers=True)
+
+
+def _scale(source: SceneSource, kinds: Sequence[tuple[Path, Kind]]) -> TemperatureRange | None:
+    """The scale that the scene states. A colour palette has none, whatever is stated."""
+    temperature = read_bounds(source.root, source.notes)
+    colour = next((path for path, kind in kinds if kind == "colour"), None)
+    if temperature is not None and colour is not None and is_coloured(decode(colour)):
+        source.notes.repair(
+            "The thermal images show a colour palette, which gives no °C: temperature_bounds.json "
+            "is not used. Export them in shades of grey, white for hot."
+        )
+        return None
+    return temperature
+
+
+def _are_centikelvin(
+    kinds: Sequence[tuple[Path, Kind]], temperature: TemperatureRange | None, notes: ReadingNotes
+) -> bool:
+    """Whether the thermal images hold 16-bit numbers that are read as K × 100: all that were looked
+    at are everyday temperatures, a small part of 16 bits. Stated bounds come first, but are then
+    doubted."""
+    rows = []
+    for path, kind in (kinds[at] for at in evenly_spaced(len(kinds))):
+        values = decode(path).values if kind == "grey" else None
+        if values is None or has_eight_bit_levels(values):
+            return False
+        rows.append(typical(65535 * values[..., 0].numpy()))
+        if not everyday(("kelvin*100",), rows[-1]):
+            return False
+    found = np.array(rows)
+    if np.ptp(found) > 0.1 * 65535:
+        return False
+    low, high = (f"{value / 100 - ZERO_CELSIUS_K:.1f}" for value in (found.min(), found.max()))
+    read = f"K × 100 ({low} to {high} °C)".replace("-", "−")
+    if temperature is None:
+        notes.repair(f"The 16-bit numbers of the thermal images are taken for {read}.")
+    else:
+        notes.repair(
+            f"The 16-bit numbers of the thermal images are taken for shades between the bounds. If "
+            f"they are {read}, remove temperature_bounds.json."
+        )
+    return temperature is None
 
 
 def _meaning_of(source: SceneSource, temperature: TemperatureRange | None) -> Numbers:
@@ -453,7 +506,7 @@ def decode_thermal(
     values, valid, kind = image
     if kind == "colour":
         return with_channels(values, 1), valid
-    if kind == "float":
+    if kind == "float" or numbers.are_integers:
         celsius, known = _celsius(image, numbers)
         mapped = torch.from_numpy(np.where(known, celsius, np.float32(0)))
         if numbers.unit is not None:

@@ -37,8 +37,8 @@ from mrgs.maps.draw import (
 from mrgs.maps.facade import facade_grid
 from mrgs.maps.surfaces import grid_from_above, seen_surfaces
 from mrgs.pictures.files import write_png
-from mrgs.pictures.numbers import number_text
 from mrgs.scene import THERMAL, Scene
+from mrgs.system.wording import number_text
 
 UNSEEN = "white: no surface, or too few photos look there"
 COMPASS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")

@@ -181,10 +181,10 @@ def digest_of(sources: Path) -> str:
 
 
 def _is_private(folder: Path) -> bool:
-    """Whether only this user can write to a folder; on Windows the home folder is."""
+    """Whether only this user can write to a folder."""
     status = folder.stat()
     others_write = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    return os.name == "nt" or (status.st_uid == os.geteuid() and not others_write)
+    return status.st_uid == os.geteuid() and not others_write
 
 
 @cache

@@ -21,13 +21,13 @@ from mrgs.maps import surfaces
 from mrgs.maps.surfaces import Coverage, MapGrid, PhotoStatistics, ShownPlaces
 from mrgs.pictures.drawing import INK, MUTED, PAPER, Scale, blank, draw_text, fit_text, scale_bar
 from mrgs.pictures.files import to_array
-from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import PaletteName, display_range, palette_table, tick_labels
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Scene
 from mrgs.scene.depth_map import DepthMap
 from mrgs.system.atomic import replacing, write_text
 from mrgs.system.lazy import optional_package
+from mrgs.system.wording import number_text
 
 MAX_PIXELS = 50_000_000
 """Largest number of pixels of a map; drawing takes about 60 bytes per pixel."""

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch.nn.functional import interpolate
 
-from mrgs.marks.surface import ROBUST_STEPS, SAME_SURFACE, tukey_weights
+from mrgs.marks.surface import ROBUST_STEPS, SAME_SURFACE, tukey_weights, window_about
 from mrgs.scene import RGB, THERMAL, Camera, View, evenly_spaced
 from mrgs.scene.depth_map import DepthMap, PhotoSurvey
 from mrgs.system.torch_modes import own_modes
@@ -172,10 +172,7 @@ def _about(
     pixel, distance = item.camera.project(torch.from_numpy(place))
     column, row = (int(each) for each in pixel)
     reach = max(2, round(WINDOW_SHARE * item.camera.width))
-    rows, columns = (
-        np.arange(max(at - reach, 0), min(at + reach + 1, size))
-        for at, size in zip((row, column), item.depth.shape, strict=True)
-    )
+    rows, columns = window_about((row, column), reach, item.depth.shape)
     depth = item.depth[np.ix_(rows, columns)].astype(np.float64)
     near = np.abs(depth - distance.item()) < SAME_SURFACE * distance.item()  # false for NaN
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)[near] + 0.5

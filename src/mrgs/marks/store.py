@@ -57,11 +57,8 @@ class CameraSpread:
 
     @classmethod
     def of_run(cls, run: TrainedRun) -> CameraSpread:
-        """The spread of a run's training cameras; SceneError if an old run, which does not have
-        them, has no readable scene either."""
+        """The spread of a run's training cameras."""
         poses = [np.array(image.pose).reshape(3, 4) for image in run.facts.images]
-        if not poses:
-            return cls.of_scene(run.load_scene())
         return cls.of(np.stack([-pose[:, :3].T @ pose[:, 3] for pose in poses]))
 
     def is_world_of(self, other: CameraSpread) -> bool:

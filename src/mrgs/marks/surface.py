@@ -230,16 +230,21 @@ def _off_plane(corners: Float[np.ndarray, "n 3"], index: int) -> float:
     return abs(float((corners[index] - middle) @ axes[2]))
 
 
+def window_about(
+    middle: tuple[int, int], reach: int, shape: tuple[int, ...]
+) -> tuple[np.ndarray, ...]:
+    """The rows and the columns of an image about a pixel."""
+    near = zip(middle, shape, strict=True)
+    return tuple(np.arange(max(at - reach, 0), min(at + reach + 1, size)) for at, size in near)
+
+
 def steady_depth(surface: SeenSurface, x: float, y: float) -> float:
     """z-depth of the surface at a place of the image, from the pixels about it: a single pixel has
     the depth of one splat. NaN where there is no surface."""
     row, column = int(y), int(x)
     here = surface.depth[row, column]
     reach = max(3, round(PICK_SHARE * max(surface.depth.shape)))
-    rows, columns = (
-        np.arange(max(at - reach, 0), min(at + reach + 1, size))
-        for at, size in zip((row, column), surface.depth.shape, strict=True)
-    )
+    rows, columns = window_about((row, column), reach, surface.depth.shape)
     depth = surface.depth[np.ix_(rows, columns)]
     grid = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
     near = np.abs(depth - here) < SAME_SURFACE * here  # false for NaN

@@ -17,11 +17,10 @@ from mrgs.marks.mark import Mark
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.photo_readings import COVERAGE
 from mrgs.pictures.escape import escape_cell
-from mrgs.pictures.numbers import number_text
 from mrgs.pictures.values import decimals_of, unit_label
 from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
 from mrgs.system.atomic import write_text
-from mrgs.system.wording import Message
+from mrgs.system.wording import Message, number_text
 
 HEADINGS = ("Mark", "Kind", "Mean", "±", "Min", "Max", "ΔT", "Size", "Photos", "Severity", "Note")
 DASH = "–"

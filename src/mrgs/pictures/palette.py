@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.interpolate import PchipInterpolator
 
-from mrgs.pictures.numbers import number_text
+from mrgs.system.wording import number_text
 
 PaletteName = Literal[
     "inferno", "iron", "grey", "black-hot", "rainbow", "arctic", "lava", "depth", "error"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from mrgs.pictures.numbers import number_text
 from mrgs.scene.radiometry import PhotoRecord
+from mrgs.system.wording import number_text
 
 SETTINGS = {
     "emissivity": ("emissivity", "", 2),

@@ -9,9 +9,9 @@ import numpy as np
 from torch import Tensor
 
 from mrgs.pictures.drawing import Scale
-from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import PaletteName
 from mrgs.scene import THERMAL, Modality, TemperatureRange
+from mrgs.system.wording import number_text
 
 Value = TypeVar("Value", float, Tensor, np.ndarray)
 

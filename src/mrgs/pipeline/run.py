@@ -23,7 +23,7 @@ from mrgs.pipeline.plan import (
 )
 from mrgs.pipeline.stages import LEDGER, Job
 from mrgs.prepare.options import PrepareOptions
-from mrgs.prepare.sfm.reconstruct import check_version, installed_version
+from mrgs.prepare.sfm.reconstruct import require_pycolmap
 from mrgs.run_files.folder import CHECKPOINTS_KEPT, RunFolder
 from mrgs.scene import THERMAL
 from mrgs.system import gpu
@@ -99,7 +99,7 @@ def run_pipeline(
     target = (default_output(source, options) if output is None else Path(output)).absolute()
     _require_own(source, target)
     if intake.kind == "photos" and options.poses is None:
-        check_version(installed_version())
+        require_pycolmap()
     notes = []
     try:
         require_laspy()

@@ -20,7 +20,6 @@ from mrgs.data.files import composed
 from mrgs.data.kept import digest, stamps
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError
-from mrgs.pictures.numbers import number_text
 from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.prepare.contract import (
     CACHE_FOLDER,
@@ -50,7 +49,7 @@ from mrgs.prepare.thermal_camera import (
 from mrgs.prepare.work import Work
 from mrgs.scene import THERMAL, Modality
 from mrgs.scene.camera import field_of_view
-from mrgs.system.wording import counted
+from mrgs.system.wording import counted, number_text
 
 
 def pairs(work: Work) -> StageSummary:

@@ -35,7 +35,6 @@ from mrgs.marks.tables import DASH, digits, write_features, write_rows
 from mrgs.marks.uncertainty import InputQuantity, Uncertainty, shared_difference
 from mrgs.pictures.files import write_png
 from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
-from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit
 from mrgs.report.copies import require_packages, write_copies
@@ -45,7 +44,7 @@ from mrgs.runs.baked import bake
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene, WorldFrame, evenly_spaced
 from mrgs.scene.depth_map import DepthMap
-from mrgs.system.wording import Message
+from mrgs.system.wording import Message, number_text
 
 Points: TypeAlias = Float64[np.ndarray, "n 3"]
 Values: TypeAlias = Float64[np.ndarray, " n"]

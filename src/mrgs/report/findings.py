@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from PIL import Image
+from torch import Tensor
 
 from mrgs.marks import MarkReading, RunMarks, tables
 from mrgs.marks.mark import Mark
@@ -22,7 +23,6 @@ from mrgs.pictures import drawing
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import to_array
 from mrgs.pictures.html import InlineImage, inline_image
-from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit
 from mrgs.report import overview
@@ -32,6 +32,7 @@ from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Camera, PosedImage, Scene, TemperatureRange, View
 from mrgs.scene.preview import to_rgb8
 from mrgs.survey import Survey
+from mrgs.system.wording import number_text
 
 WIDTH_PX = 640
 MARK_SHARE = 0.5
@@ -85,12 +86,17 @@ def mark_pictures(
     ]
 
 
+def _box(mark: Mark, camera: Camera) -> list[Tensor]:
+    """The first and the last pixel of a mark, and the size of the image: column, row."""
+    pixels, _ = camera.project(torch.tensor(mark.points).double())
+    size = pixels.new_tensor([camera.width, camera.height])
+    return [pixels.min(dim=0).values, pixels.max(dim=0).values, size]
+
+
 def _about(mark: Mark, camera: Camera) -> Camera:
     """The part of a camera's image about a mark, ``WIDTH_PX`` wide and in the image's proportions;
     never more than the image."""
-    pixels, _ = camera.project(torch.tensor(mark.points).double())
-    low, high = pixels.min(dim=0).values, pixels.max(dim=0).values
-    size = pixels.new_tensor([camera.width, camera.height])
+    low, high, size = _box(mark, camera)
     share = min(max(((high - low) / size).max().item() / MARK_SHARE, LEAST_SHARE), 1.0)
     left, top = (
         min(max(middle - 0.5 * share * whole, 0.0), (1 - share) * whole)
@@ -107,9 +113,7 @@ def _about(mark: Mark, camera: Camera) -> Camera:
 def _part_about(mark: Mark, camera: Camera) -> tuple[slice, slice]:
     """The rows and columns about a mark whose temperatures the colours of its picture span: sky and
     ground in a corner would leave none for a wall."""
-    pixels, _ = camera.project(torch.tensor(mark.points).double())
-    low, high = pixels.min(dim=0).values, pixels.max(dim=0).values
-    size = pixels.new_tensor([camera.width, camera.height])
+    low, high, size = _box(mark, camera)
     margin = torch.clamp(0.5 * (SPANNED_SHARE * size - (high - low)), min=0)
     first, last = (low - margin).clamp(min=0).int(), (high + margin).ceil().int()
     return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))

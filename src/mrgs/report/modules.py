@@ -30,7 +30,6 @@ from mrgs.marks.tables import DASH, write_features, write_rows
 from mrgs.marks.uncertainty import Budget, shared_difference
 from mrgs.pictures.files import write_png
 from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
-from mrgs.pictures.numbers import number_text
 from mrgs.report.copies import require_packages, write_copies
 from mrgs.report.overview import Style, TemperatureMap, faces_one_side, has_map
 from mrgs.report.sections import LEAST_W_M2, MOST_PIXEL_CM
@@ -40,6 +39,7 @@ from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
 from mrgs.scene.depth_map import ENOUGH, visible
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
+from mrgs.system.wording import number_text
 
 Values: TypeAlias = Float64[np.ndarray, " m"]
 

@@ -20,7 +20,6 @@ from mrgs.evaluation.metrics import REPORTED
 from mrgs.evaluation.report import COLUMNS
 from mrgs.marks.tables import digits, pixel_cm_text
 from mrgs.pictures.html import InlineImage, inline_image
-from mrgs.pictures.numbers import number_text
 from mrgs.pictures.settings import Setting, settings_of
 from mrgs.pictures.values import capitalised
 from mrgs.report.texts import Texts
@@ -29,6 +28,7 @@ from mrgs.scene import THERMAL, Modality, Scene, View, WorldFrame, in_order
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.survey import LABELS, Survey
 from mrgs.system.disk import read_text
+from mrgs.system.wording import number_text
 
 
 def contents_of(run: Run, scene: Scene, survey: Survey, t: Texts, appendix: bool) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import re
 import shutil
@@ -15,11 +16,6 @@ from filelock import FileLock, Timeout
 from safetensors import SafetensorError
 
 from mrgs.errors import RunError, WriteError
-
-try:
-    import fcntl
-except ImportError:  # Windows, which removes no file that is open
-    fcntl = None  # type: ignore[assignment]
 
 TEMPORARY = ".mrgs-"
 """How the names of temporary folders begin; a file is written in one and then moved."""
@@ -150,22 +146,18 @@ def _temporary_beside(path: Path) -> Iterator[Path]:
     """A path in a folder of its own, which goes with all that a writer leaves there, and is locked
     as long as this process lives: others can tell if it is abandoned."""
     folder = Path(tempfile.mkdtemp(prefix=TEMPORARY, dir=path.parent))
-    lock = None if fcntl is None else os.open(folder, os.O_RDONLY)
+    lock = os.open(folder, os.O_RDONLY)
     try:
-        if lock is not None:
-            with suppress(OSError):  # a file system without locks
-                fcntl.flock(lock, fcntl.LOCK_EX)
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
         yield folder / f"file{path.suffix if len(path.suffix) <= _LONGEST_SUFFIX else ''}"
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
+        os.close(lock)
 
 
 def _remove_abandoned(paths: Iterator[Path]) -> None:
     """Remove those of the paths that are temporary folders which no process has locked."""
-    if fcntl is None:
-        return
     with suppress(OSError):  # a folder that may not be listed
         for path in [path for path in paths if path.name.startswith(TEMPORARY)]:
             with suppress(OSError):  # gone, a link, another user's, locked, or without locks

@@ -85,9 +85,8 @@ class Machine:
     @property
     def triton_version(self) -> str | None:
         """Read without loading Triton, which decides when it is imported whether it interprets."""
-        for name in ("triton", "triton-windows"):
-            with suppress(PackageNotFoundError):
-                return installed_version(name)
+        with suppress(PackageNotFoundError):
+            return installed_version("triton")
         return None
 
     @property
@@ -149,11 +148,9 @@ def _obstacle(machine: Any) -> str | None:
     if machine.platform == "darwin":
         return "there is no CUDA for macOS"
     if machine.built_for is None:
-        on_windows = machine.platform == "win32"
-        index = " --index-url https://download.pytorch.org/whl/cu128" if on_windows else ""
         return (
             f"this torch ({machine.torch_version}) is built without CUDA: pip install "
-            f"--force-reinstall torch{index}"
+            f"--force-reinstall torch"
         )
     return (
         _driver_obstacle(machine) or _capability_obstacle(machine.cuda) or _triton_obstacle(machine)
@@ -198,9 +195,8 @@ def _capability_obstacle(cuda: Any) -> str | None:
 
 
 def _triton_obstacle(machine: Any) -> str | None:
-    on_windows = machine.platform == "win32"
     if not machine.has_triton:
-        return f"Triton is missing: pip install triton{'-windows' if on_windows else ''}"
+        return "Triton is missing: pip install triton"
     version = machine.triton_version
     numbers = tuple(map(int, re.findall(r"\d+", version or "")[:2]))
     if version is not None and numbers < OLDEST_TRITON:
@@ -208,12 +204,12 @@ def _triton_obstacle(machine: Any) -> str | None:
             f"Triton {version} is too old: {'.'.join(map(str, OLDEST_TRITON))} or newer is needed, "
             "which comes with torch 2.8: pip install --upgrade torch"
         )
-    if not (machine.has_compiler or on_windows):
+    if not machine.has_compiler:
         return (
             "Triton needs a C compiler, once, to start its kernels: install gcc or clang, or "
             "name one in CC"
         )
-    if not (on_windows or any((folder / "Python.h").exists() for folder in machine.headers)):
+    if not any((folder / "Python.h").exists() for folder in machine.headers):
         return (
             "Triton needs Python's C headers, once, to start its kernels, but there is no "
             f"{machine.headers[0] / 'Python.h'}: install python3-dev (python3-devel on Fedora)"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -26,15 +25,7 @@ def free_memory() -> int | None:
 def peak_resident() -> int:
     """Largest resident memory of this process so far, in bytes; 0 if not known."""
     # On Linux, a process inherits the ru_maxrss of the one that started it.
-    peak = _bytes_after("VmHWM:", _STATUS)
-    if peak is not None:
-        return peak
-    try:
-        import resource
-    except ImportError:  # Windows
-        return 0
-    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return used if sys.platform == "darwin" else used * 1024
+    return _bytes_after("VmHWM:", _STATUS) or 0
 
 
 def release_when_freed() -> None:

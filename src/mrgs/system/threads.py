@@ -15,9 +15,7 @@ from mrgs.errors import MrgsError
 
 def available_cores() -> int:
     """The cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 def waiting_factor() -> float:
@@ -96,11 +94,6 @@ class FairLock:
                 if own in queue:
                     queue.remove(own)
                 self._changed.notify_all()
-
-    @property
-    def is_awaited(self) -> bool:
-        """Whether a thread waits for the one that has the lock."""
-        return len(self._queue) > 1
 
 
 @contextmanager

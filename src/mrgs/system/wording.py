@@ -67,3 +67,9 @@ class Message(str):
         message = super().__new__(cls, template.format(**values) if values else template)
         message.template, message.values = template, values
         return message
+
+
+def number_text(value: float, decimals: int, *, sign: bool = False) -> str:
+    """A rounded number with a proper minus sign, but none before zero; ``sign`` adds plus signs."""
+    text = f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}"
+    return text.replace("-", "−")

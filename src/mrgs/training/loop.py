@@ -168,11 +168,6 @@ class Trainer:
         """Within this block no other thread takes a step or writes a checkpoint."""
         return self._turns.taken()
 
-    @property
-    def is_awaited(self) -> bool:
-        """Whether another thread waits for the end of the current step."""
-        return self._turns.is_awaited
-
     def _next_step(self) -> StepStatistics:
         """Take a whole step, and log it; Ctrl-C waits for its end."""
         require_own_threads()

@@ -15,7 +15,6 @@ from PIL import Image
 from mrgs.marks.mark import EMISSIVITY, LONGEST_NAME, LONGEST_NOTE, LONGEST_SEVERITY, REFLECTED_C
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.tables import mark_text
-from mrgs.pictures.numbers import number_text
 from mrgs.pictures.page_data import (
     PALETTE_CHOICES,
     air_facts,
@@ -25,6 +24,7 @@ from mrgs.pictures.page_data import (
 )
 from mrgs.pictures.values import range_of
 from mrgs.scene import THERMAL, Modality, WorldFrame
+from mrgs.system.wording import number_text
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.inspection import Inspection, PointReading
 from mrgs.viewer.painting import DrawnPicture, pane_scale, seen_labels

@@ -226,12 +226,6 @@ class LiveSource:
         self._lock = threading.Lock()
         self._closed = False
 
-    @property
-    def waiting(self) -> int:
-        """Number of jobs that have not run yet."""
-        with self._lock:
-            return len(self._jobs)
-
     def run(self, job: Callable[[Model], Result], moving: Camera | None = None) -> Result:
         """Wait until the training has run the job between two steps, and return its result, also
         while the camera moves. CancelledError if the source was closed."""

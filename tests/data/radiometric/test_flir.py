@@ -151,12 +151,6 @@ def test_visible_photo_as_jpeg(save):
     ).facts.visible
     assert visible.data == file.getvalue()
     assert np.abs(visible.pixels().astype(int) - colours())[:, [2, 20]].max() < 12
-    assert (
-        visible.alignment.real_to_ir,
-        visible.alignment.offset_x_px,
-        visible.alignment.offset_y_px,
-    ) == (1.5, 3, -4)
-    assert visible.alignment.picture_in_picture_px == (10, 20, 30, 40)
 
 
 def test_visible_photo_as_png_holds_luma_and_chroma(save):
@@ -180,11 +174,6 @@ def test_a_damaged_visible_photo_leaves_the_temperatures(save):
     assert photo.valid.all()
     with pytest.raises(SceneError, match="decoded"):
         photo.facts.visible.pixels()
-
-
-def test_an_alignment_that_cannot_be_is_none(save):
-    written = FlirPhoto(visible=b"\xff\xd8\xff", alignment=(0.0, 1, 2, 3, 4, 5, 6))
-    assert read_thermal_photo(save("a.jpg", written.jpeg())).facts.visible.alignment is None
 
 
 def test_pixels_without_a_temperature_are_masked(save):

@@ -123,6 +123,7 @@ def test_a_unit_that_is_named_is_that_of_the_numbers(tmp_path, text, first_c):
         "Reflected temperature [°F];68",
         "Reflected temperature;68;°F",
         "Reflected 68 °F",
+        "Reflected temp.,68.0 F",
         "2024-01-01 10:00:00, Fahrenheit",
         "Reflected 68 deg F",
         "Reflected 68 Fahrenheit",

@@ -7,6 +7,7 @@ import struct
 import sys
 import tempfile
 import unicodedata
+from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -492,8 +493,8 @@ def test_files_beside_the_photos(photos, content, pair):
 def test_numbers_that_a_picture_of_their_name_stands_for_are_said(photos):
     content = {f"rgb/{i}.jpg": ("jpg", {"size": (24, 20)}) for i in range(3)}
     content |= {f"thermal/{i}.png": "png" for i in range(3)}
-    found = find_pairs(photos(content | {f"tiff/{i}.tif": "celsius" for i in range(3)}))
-    assert any("tiff/0.tif holds numbers" in text for text in found.warnings)
+    found = find_pairs(photos(content | {f"degrees/{i}.tif": "celsius" for i in range(3)}))
+    assert any("degrees/0.tif holds numbers" in text for text in found.warnings)
 
 
 @pytest.mark.parametrize("form", ["{:.6f}", "frame_{:.3f}", "{:.0f}"])
@@ -986,3 +987,98 @@ def test_lenses_are_chosen_by_their_angle(photos):
     assert refusal.value.cameras == ("25°", "45°")
     found = find_pairs(root, PrepareOptions(camera="45°"))
     assert [pair.name for pair in found.pairs] == ["4", "5", "6", "7"]
+
+
+TRIMMED = range(2, 22)
+"""Numbers of photos in turns, thermal odd, without the first thermal and the last RGB photo."""
+
+
+def in_turns(numbers: Iterable[int], options: Callable[[int], dict]) -> dict[str, object]:
+    names = {n: f"IR_{n:04d}.jpg" if n % 2 else f"DC_{n:04d}.jpg" for n in numbers}
+    return {name: ("flir" if n % 2 else "jpg", options(n)) for n, name in names.items()}
+
+
+@pytest.mark.parametrize("gap_s", [0, 1])
+def test_of_photos_in_turns_those_of_one_moment_are_a_pair(photos, gap_s):
+    root = photos(in_turns(TRIMMED, lambda n: at((n - 1) // 2 * 5 + gap_s * (n % 2 == 0))))
+    found = find_pairs(root)
+    assert files(root, found) == [
+        (f"DC_{n + 1:04d}.jpg", f"IR_{n:04d}.jpg") for n in range(3, 20, 2)
+    ]
+    assert found.warnings == ()
+
+
+def test_photos_in_turns_without_times_are_doubted_where_the_first_may_be_missing(photos):
+    found = find_pairs(photos(in_turns(TRIMMED, lambda n: {})))
+    assert "previous" in found.rule
+    assert any("may be missing" in text for text in found.warnings)
+    whole = in_turns(range(1, 21), lambda n: {})
+    assert find_pairs(photos(whole, "whole")).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("rgb", "thermal"),
+    [("{}_rgb", "{}_thermal"), ("rgb{}", "thermal{}"), ("RGB_flight{}", "Thermal_flight{}")],
+)
+def test_two_surveys_stay_apart_by_the_rest_of_their_folders_names(photos, rgb, thermal):
+    lacking = {("1", 2), ("1", 3)}
+    places = [(survey, i) for survey in "12" for i in range(6)]
+    when = {(survey, i): at(1000 * int(survey) + 10 * i) for survey, i in places}
+    content = {f"{thermal.format(s)}/IMG_{i}.tif": ("celsius", when[s, i]) for s, i in places}
+    content |= {
+        f"{rgb.format(s)}/IMG_{i}.jpg": ("jpg", when[s, i])
+        for s, i in places
+        if (s, i) not in lacking
+    }
+    root = photos(content)
+    assert set(files(root, find_pairs(root))) == {
+        (f"{rgb.format(s)}/IMG_{i}.jpg", f"{thermal.format(s)}/IMG_{i}.tif")
+        for s, i in places
+        if (s, i) not in lacking
+    }
+
+
+@pytest.mark.parametrize(
+    ("preview", "numbers"),
+    [
+        *(("thermal/{}.jpg", f"thermal/{{}}{end}.tif") for end in ("_temperature", "_raw", "_T")),
+        ("thermal/{}.jpg", "thermal_tiff/{}.tif"),
+        ("thermal/jpg/{}.jpg", "thermal/tiff/{}.tif"),
+        ("thermal/{}.jpg", "csv/{}.csv"),
+    ],
+)
+def test_a_preview_is_neither_the_rgb_photo_nor_used_for_the_numbers(photos, preview, numbers):
+    stems = [f"{number:04d}" for number in range(8)]
+    content = {f"rgb/{stem}.jpg": "jpg" for stem in stems}
+    content |= {preview.format(stem): ("jpg", {"size": (24, 20)}) for stem in stems}
+    what = TABLE if numbers.endswith("csv") else "celsius"
+    root = photos(content | {numbers.format(stem): what for stem in stems})
+    found = find_pairs(root)
+    assert files(root, found) == [(f"rgb/{s}.jpg", numbers.format(s)) for s in stems]
+    assert_left_out(found, {preview.format(s): "the temperatures are taken from" for s in stems})
+
+
+@pytest.mark.parametrize("mark", ["VL", "visual", "DC", "EO", "optical"])
+def test_an_rgb_mark_goes_before_the_picture_without_one(photos, mark):
+    content = {f"IMG_{i}.jpg": "jpg" for i in range(4)} | {f"IMG_{i}.csv": TABLE for i in range(4)}
+    root = photos(content | {f"IMG_{i}_{mark}.jpg": "jpg" for i in range(4)})
+    assert files(root, find_pairs(root)) == [
+        (f"IMG_{i}_{mark}.jpg", f"IMG_{i}.csv") for i in range(4)
+    ]
+
+
+@pytest.mark.parametrize(("rgb", "thermal"), [("MAX_{}", "IRX_{}"), ("DJI_{}_V", "DJI_{}_T")])
+def test_names_of_both_cameras_go_before_the_name_of_their_folder(photos, rgb, thermal):
+    folder = "thermal flight"
+    content = {f"{folder}/{thermal.format(f'{i:04d}')}.jpg": "jpg" for i in range(4)}
+    big = ("jpg", {"size": (80, 60)})
+    root = photos(content | {f"{folder}/{rgb.format(f'{i:04d}')}.jpg": big for i in range(4)})
+    assert [name for name, _ in files(root, find_pairs(root))] == [
+        f"{folder}/{rgb.format(f'{i:04d}')}.jpg" for i in range(4)
+    ]
+
+
+def test_a_table_about_the_images_leaves_their_folder_its_name(photos):
+    content = {f"thermal/{i}.png": "png" for i in range(10)}
+    root = photos(content | {f"rgb/{i}.jpg": "jpg" for i in range(10)} | {"thermal/log.csv": TABLE})
+    assert len(find_pairs(root).pairs) == 10

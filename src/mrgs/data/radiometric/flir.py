@@ -26,7 +26,7 @@ from mrgs.data.radiometric.exif import (
     read_exif,
 )
 from mrgs.data.radiometric.measurement import MAX_TRANSMISSION, Measurement, object_temperature
-from mrgs.data.radiometric.photo import Alignment, Overrides, PhotoFacts, ThermalPhoto, VisibleImage
+from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto, VisibleImage
 from mrgs.data.radiometric.raster import finished, refuse_recording
 from mrgs.data.radiometric.units import WIRIS_UNITS
 from mrgs.errors import SceneError, scene_error
@@ -287,14 +287,7 @@ def _visible(records: Records, path: Path) -> tuple[VisibleImage | None, tuple[s
         return None, (
             "The photo in visible light inside the file is of an unknown kind; left out.",
         )
-    placed, alignment = records.get(PICTURE_IN_PICTURE) or b"", None
-    orders: tuple[ByteOrder, ...] = ("<", ">")  # not stated: that which gives a plausible ratio
-    for order in orders:
-        found = RecordFields(placed, order).read(0, "f6h")
-        if alignment is None and found is not None and 0.1 < found[0] < 10:
-            dx, dy, left, right, top, bottom = (int(value) for value in found[1:])
-            alignment = Alignment(float(found[0]), dx, dy, (left, right, top, bottom))
-    return VisibleImage(image, path, alignment), ()
+    return VisibleImage(image, path), ()
 
 
 def _doubts(
@@ -318,7 +311,7 @@ def _doubts(
 
 
 FFF_SIGNATURES = (b"FFF\0", b"AFF\0")
-RAW_DATA, EMBEDDED_IMAGE, CAMERA_INFO, PICTURE_IN_PICTURE = 0x01, 0x0E, 0x20, 0x2A
+RAW_DATA, EMBEDDED_IMAGE, CAMERA_INFO = 0x01, 0x0E, 0x20
 _HEADER_BYTES = 64
 _ENTRY_BYTES = 32
 _MAX_ENTRIES = 4096

@@ -78,31 +78,13 @@ class Overrides:
         return {name: value for name, value in given.items() if value is not None}
 
 
-@dataclass(frozen=True)
-class Alignment:
-    """Alignment of the visible photo with the thermal one, at the distance of the camera's focus.
-
-    Attributes:
-        real_to_ir: width of the visible photo over that of its part in the thermal photo.
-        offset_x_px: from the visible photo's centre to the thermal one's, in its pixels, right.
-        offset_y_px: the same, downwards.
-        picture_in_picture_px: the thermal inset in the displayed picture: left, right, top, bottom.
-    """
-
-    real_to_ir: float
-    offset_x_px: int
-    offset_y_px: int
-    picture_in_picture_px: tuple[int, int, int, int]
-
-
 @dataclass(frozen=True, eq=False)
 class VisibleImage:
-    """A visible photo inside a thermal one: the JPEG or PNG file as the camera wrote it; the file
-    that it is from, for messages; and its alignment, None if not known."""
+    """A visible photo inside a thermal one: the JPEG or PNG file as the camera wrote it, and the
+    file that it is from, for messages."""
 
     data: bytes
     source: Path
-    alignment: Alignment | None
 
     def pixels(self) -> UInt8[np.ndarray, "h w 3"]:
         """The photo in RGB; in a PNG, cameras store luma and chroma (JPEG's YCbCr) in its channels.

@@ -50,7 +50,7 @@ _STATED = re.compile(rf"(?i)\bunits?[\s\"':=;,(\[]*(?:(0[.,]\d{{0,3}}[1-9])[\s*]
 _SETTING = re.compile(rf"(?:^|[;,:=\t])[ \"']*[+-]?\d|\d *{_UNIT}")
 """A line with a number of its own: a unit in it is that of a setting."""
 
-FAHRENHEIT = re.compile(r"(?i)(?:°|\bdeg(?:rees?)?[\s.]*)F\b|\bfahrenheit\b")
+FAHRENHEIT = re.compile(r"(?i)(?:°|\bdeg(?:rees?)?[\s.]*|\d[.,]\d+\s*|\b\d+\s+)F\b|\bfahrenheit\b")
 """How texts mention °F, of whatever."""
 
 

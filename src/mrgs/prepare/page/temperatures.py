@@ -10,14 +10,13 @@ from jaxtyping import Float
 from markupsafe import Markup
 
 from mrgs.pictures.html import render
-from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range, palette_table, round_ticks, tick_labels
 from mrgs.pictures.settings import settings_of
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.page.views import Preview
 from mrgs.scene import THERMAL
 from mrgs.scene.radiometry import PhotoRecord
-from mrgs.system.wording import counted
+from mrgs.system.wording import counted, number_text
 
 _BINS = 90
 _TEMPLATE = "prepare/page/chart.svg"

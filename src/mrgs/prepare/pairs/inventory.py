@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
 from mrgs.data.files import (
+    IMAGE_SUFFIXES,
     composed,
     decoded_text,
     read_bytes,
@@ -26,7 +27,14 @@ from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.data.radiometric.table import columns_of, numbers_in
 from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import Progress, Skipped
-from mrgs.prepare.pairs.photo import Photo, folder_modality, natural, read_stem, told_apart
+from mrgs.prepare.pairs.photo import (
+    REFERENCE,
+    Photo,
+    folder_modality,
+    natural,
+    read_stem,
+    told_apart,
+)
 from mrgs.scene import THERMAL, Modality
 from mrgs.system.disk import open_regular
 
@@ -285,22 +293,23 @@ def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]
     Files of one stem in one folder are the same photo, and so are one that only the maker's tool
     reads and the one file of that stem elsewhere that it was converted to. Where there are RGB
     photos besides, an image that is thermal by its folder or name is the preview of the numbers
-    beside it.
+    of its stem, or of this and a word, beside it or in another folder for thermal photos.
     """
     has_rgb = not all(photo.is_reference for photo in photos)
+    stems = [(_place(photo), composed(photo.origin.name.casefold())) for photo in photos]
+    shown = zip(stems, photos, strict=True)
+    previews = {stem for stem, photo in shown if has_rgb and _is_preview(photo)}
     by_stem: dict[str, list[Photo]] = {}
-    for photo in photos:
-        by_stem.setdefault(composed(photo.origin.name.casefold()), []).append(photo)
+    for (place, stem), photo in zip(stems, photos, strict=True):
+        if photo.kind in ("numbers", "table") and (place, stem) not in previews:
+            short = re.sub(r"[_\-. ][a-z]+$", "", stem)
+            stem = short if (place, short) in previews else stem
+        by_stem.setdefault(stem, []).append(photo)
     best: dict[Photo, Photo] = {}
     for group in by_stem.values():
         finished = [photo for photo in group if photo.kind in ("numbers", "table")]
         for photo in group:
-            beside = [
-                other
-                for other in group
-                if other.path.parent == photo.path.parent
-                and all(one.is_reference if has_rgb else one.is_thermal for one in (photo, other))
-            ]
+            beside = [other for other in group if _is_of(other, photo, has_rgb)]
             best[photo] = min([photo, *beside], key=lambda one: one.preference)
             if best[photo].needs_tool and len(finished) == 1:
                 best[photo] = finished[0]
@@ -314,6 +323,28 @@ def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]
             exif = replace(used[photo].exif, orientation=photo.exif.orientation)
             serial = used[photo].serial
             kept.append(replace(photo, origin=used[photo].origin, exif=exif, serial=serial))
+        elif photo in used:
+            kept.append(replace(photo, origin=used[photo].origin))
         else:
             kept.append(photo)
     return kept, skipped
+
+
+def _place(photo: Photo) -> tuple[str, ...]:
+    """The folders of a photo, but for what says that it is thermal, or its format."""
+    folders, formats = folder_modality(photo.origin.parts[:-1])[1], {".csv", *IMAGE_SUFFIXES}
+    return tuple(folder for folder in folders if f".{folder.lower()}" not in formats)
+
+
+def _is_preview(photo: Photo) -> bool:
+    """Whether it is a plain image in a folder for thermal photos."""
+    named = folder_modality(photo.origin.parts[:-1])[0]
+    return photo.is_reference and not photo.is_thermal and named == REFERENCE
+
+
+def _is_of(other: Photo, photo: Photo, has_rgb: bool) -> bool:
+    """Whether two files of one stem show the same."""
+    if other.path.parent == photo.path.parent:
+        return all(one.is_reference if has_rgb else one.is_thermal for one in (photo, other))
+    is_finished = other.kind in ("numbers", "table")
+    return has_rgb and is_finished and _is_preview(photo) and _place(other) == _place(photo)

@@ -47,7 +47,10 @@ HEADINGS = {
 _LETTERS = {"t": THERMAL, **dict.fromkeys("wvzs", RGB)}
 """The last letter of DJI's names: thermal, wide, visible, zoom, screenshot."""
 
-PARTNER_MARKS = ("w", "wide", "v", "vis", "visible", "rgb", "", "z", "zoom")
+PARTNER_MARKS = (
+    "w", "wide", "v", "vis", "visible", "visual", "rgb", "dc", "eo", "vl", "optical", "", "z",
+    "zoom",
+)  # fmt: skip
 """Camera suffixes by preference among RGB photos of a moment: wide ones cover the thermal image."""
 
 _LAST_LETTER = re.compile(
@@ -177,16 +180,20 @@ def _moment(digits: str) -> datetime | None:
 
 
 def folder_modality(folders: Sequence[str]) -> tuple[Modality | None, tuple[str, ...]]:
-    """The modality that the innermost folder named after one has, and the folders without it."""
+    """The modality that the innermost folder named after one has, and the folders without these
+    words: ``roof_rgb`` becomes ``roof``, and ``rgb`` goes."""
     for index in reversed(range(len(folders))):
-        words = {word.lower() for word in re.findall(r"[A-Za-z]+|[0-9]+", folders[index])}
-        named = [modality for modality, own in _WORDS.items() if words & own]
+        words = [word.lower() for word in re.findall(r"[A-Za-z]+|[0-9]+", folders[index])]
+        named = [modality for modality, own in _WORDS.items() if own.intersection(words)]
         if not named:
             # FLIR's cameras put all their photos into 100_FLIR; a folder of that name alone was
             # made by the user.
-            named = [THERMAL] if words == {"flir"} else [RGB] if words & _PHOTO_WORDS else []
+            is_photos = not _PHOTO_WORDS.isdisjoint(words)
+            named = [THERMAL] if words == ["flir"] else [RGB] if is_photos else []
         if len(named) == 1:
-            return named[0], (*folders[:index], *folders[index + 1 :])
+            idle = {"flir"} | _WORDS[named[0]] | _PHOTO_WORDS | _FILLERS
+            rest = "_".join(word for word in words if word not in idle)
+            return named[0], (*folders[:index], *filter(None, [rest]), *folders[index + 1 :])
     return None, tuple(folders)
 
 
@@ -214,10 +221,13 @@ def candidate_by_name(photo: Photo, folders: Sequence[str] | None = None) -> Can
     return Candidate(photo, modality, key, facts.mark, facts.moment)
 
 
-def candidate_by_folder(photo: Photo) -> Candidate:
-    """Modality by content and folder, else as ``told_apart``; the folder named after a modality is
-    not part of the key."""
-    named, folders = folder_modality(photo.origin.parts[:-1])
+def candidate_by_folder(photo: Photo, with_rest: bool = True) -> Candidate:
+    """Modality by content and folder, else as ``told_apart``. Of the folder named after a modality
+    the rest of its name is part of the key, or nothing."""
+    all_folders = photo.origin.parts[:-1]
+    named, folders = folder_modality(all_folders)
+    if not with_rest and named is not None and len(folders) == len(all_folders):
+        folders = tuple(part for part in all_folders if part in folders)
     is_reference = photo.is_thermal or (named is None and photo.is_reference)
     modality = REFERENCE if is_reference else named
     return candidate_by_name(photo, folders)._replace(modality=modality)
@@ -234,7 +244,17 @@ def told_apart(photos: Sequence[Photo], root_name: str) -> list[Photo]:
     thermal, plain = (
         Counter(photo.origin.parent for photo in group) for group in (certain, others)
     )
-    mixed = {folder for folder, count in plain.items() if 0 < thermal[folder] <= 2 * count}
+    mixed = set()
+    # A folder called RGB has the RGB photos, and a table beside many images may describe them.
+    # Names of both cameras go before the folder's.
+    if all(folder_modality(photo.origin.parts[:-1])[0] != PARTNER for photo in others):
+        names = {
+            (photo.origin.parent, facts.modality)
+            for photo in photos
+            if (facts := read_stem(photo.origin.name, photo.is_thermal)).mark not in _FILLERS
+        }
+        mixed = {at for at, _ in names if {(at, each) for each in _WORDS} <= names}
+        mixed |= {at for at, n in plain.items() if 0 < thermal[at] <= 2 * n <= 8 * thermal[at]}
     not_by_folder = {photo for photo in others if photo.origin.parent in mixed}
     found = [
         (None if photo in not_by_folder else candidate_by_folder(photo).modality)

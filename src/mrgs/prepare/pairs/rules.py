@@ -5,12 +5,14 @@ A pair has a photo of the reference modality (thermal) and its partner (RGB).
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import PurePosixPath
+from statistics import median
 from typing import NamedTuple
 
 from mrgs.data.files import composed
@@ -85,8 +87,15 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
 
 def by_folders(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or
-    else unique; names that are equal to the letter come before names with a camera suffix."""
-    candidates = [candidate_by_folder(photo) for photo in photos]
+    else unique; names that are equal to the letter come before names with a camera suffix. What
+    else a folder is called, as in ``roof_rgb``, must be equal, too, unless more pairs are found
+    without that."""
+    found = [_by_folders(photos, tolerance_s, with_rest) for with_rest in (True, False)]
+    return max(filter(None, found), key=lambda match: len(match.pairs), default=None)
+
+
+def _by_folders(photos: Sequence[Photo], tolerance_s: float, with_rest: bool) -> Match | None:
+    candidates = [candidate_by_folder(photo, with_rest) for photo in photos]
     pairs: list[Pair] = []
     reasons: dict[Photo, str] = {}
 
@@ -193,26 +202,39 @@ def _instead(candidates: Sequence[Candidate], used: Sequence[Photo | None]) -> d
 
 
 def by_numbers(photos: Sequence[Photo]) -> Match | None:
-    """FLIR's ``IR_0001`` and ``DC_0002``: the RGB photo is the next file, or the one before."""
+    """FLIR's ``IR_0001`` and ``DC_0002``: the RGB photo is the next file, or the one before; of
+    two ways to pair nearly all, as where the first or the last photo is missing, the one whose
+    photos are closer in time."""
     references, partners = _grouped(candidate_by_name(photo) for photo in photos)
-    best: list[Pair] = []
-    word = "next"
-    for step, name in ((1, "next"), (-1, "previous")):
-        pairs = [
+    found = {
+        word: [
             Pair(_best(group).photo, partners[other][0].photo)
             for key, group in references.items()
             if (other := _neighbour(key, step)) in partners
-            and _near(_best(group).photo, partners[other][0].photo)
+            and _gap_s(_best(group).photo, partners[other][0].photo) <= _NEIGHBOUR_S
         ]
-        if len(pairs) > len(best):
-            best, word = pairs, name
-    if not best:
+        for step, word in ((1, "next"), (-1, "previous"))
+    }
+    most = max(map(len, found.values()))
+    if not most:
         return None
+    likely = {
+        word: median(_gap_s(*pair.photos.values()) for pair in pairs)
+        for word, pairs in found.items()
+        if pairs and len(pairs) >= most - 1
+    }
+    word = min(likely, key=lambda word: (likely[word], -len(found[word])))
     rule = (
         f"The {PARTNER.title} photo of each {REFERENCE.title} photo is the file with the {word} "
         f"number."
     )
-    return Match(in_order(best), rule, f"with the {word} number")
+    doubts = []  # without times thermal first, the usual order, is believed
+    if word == "previous" and likely[word] >= likely.get("next", math.inf):
+        doubts.append(
+            "Of photos in turns the first or the last may be missing: check that the two photos of "
+            "a pair show the same."
+        )
+    return Match(in_order(found[word]), rule, f"with the {word} number", warnings=tuple(doubts))
 
 
 def _neighbour(key: str, step: int) -> str:
@@ -222,11 +244,11 @@ def _neighbour(key: str, step: int) -> str:
     return "" if found is None or number < 0 else f"{found[1]}{number:0{len(found[2])}d}"
 
 
-def _near(first: Photo, second: Photo) -> bool:
-    """Whether the times, where both are known, allow the two to belong together."""
+def _gap_s(first: Photo, second: Photo) -> float:
+    """Seconds between two photos; 0 where a time is not known."""
     if first.exif.taken is None or second.exif.taken is None:
-        return True
-    return abs((first.exif.taken - second.exif.taken).total_seconds()) <= _NEIGHBOUR_S
+        return 0.0
+    return abs((first.exif.taken - second.exif.taken).total_seconds())
 
 
 def by_embedded(photos: Sequence[Photo]) -> Match | None:

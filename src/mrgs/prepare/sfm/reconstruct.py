@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 import os
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
@@ -89,7 +89,7 @@ def reconstruct(
     if field_of_view_deg is not None:
         focal_widths = focal_length(1.0, math.radians(field_of_view_deg))
     set_up(folder, images, modality == THERMAL, progress, positions, focal_widths)
-    check_version(installed_version())
+    require_pycolmap()
     remove(folder / CONTROL_FILE)  # of a call that was killed
     run_colmap(folder, progress)
     return read_result(folder, modality)
@@ -114,7 +114,6 @@ def positions_of(
 
 CHILD = ("-m", "mrgs.prepare.sfm")
 LOG_FILE = "log.txt"
-LEAST_VERSION = 4
 
 
 def run_colmap(folder: Path, progress: Progress, program: Sequence[str] = CHILD) -> None:
@@ -140,23 +139,12 @@ def run_colmap(folder: Path, progress: Progress, program: Sequence[str] = CHILD)
         raise SceneError(f"finding the poses failed: {reason}{remedy}; see {log}")
 
 
-def installed_version() -> str | None:
-    """pycolmap's version; None if it is not installed."""
-    try:
-        return importlib.metadata.version("pycolmap")
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
-def check_version(version: str | None) -> None:
-    """Check pycolmap's version. ConfigError if it is not installed, or too old."""
-    install = 'pip install "mrgs[sfm]"'
-    if version is None:
+def require_pycolmap() -> None:
+    """ConfigError if pycolmap is not installed. Only the child process imports it."""
+    if find_spec("pycolmap") is None:
         raise ConfigError(
-            f"finding the poses needs pycolmap: {install}, or give poses that you have"
+            'finding the poses needs pycolmap: pip install "mrgs[sfm]", or give poses that you have'
         )
-    if int(version.partition(".")[0]) < LEAST_VERSION:
-        raise ConfigError(f"pycolmap {version} is too old: {install}")
 
 
 FEW_FEATURES = 100

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mrgs.pictures.numbers import number_text
+from mrgs.system.wording import number_text
 
 
 @pytest.mark.parametrize(
