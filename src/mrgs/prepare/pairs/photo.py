@@ -244,17 +244,17 @@ def told_apart(photos: Sequence[Photo], root_name: str) -> list[Photo]:
     thermal, plain = (
         Counter(photo.origin.parent for photo in group) for group in (certain, others)
     )
-    mixed = set()
     # A folder called RGB has the RGB photos, and a table beside many images may describe them.
-    # Names of both cameras go before the folder's.
-    if all(folder_modality(photo.origin.parts[:-1])[0] != PARTNER for photo in others):
-        names = {
-            (photo.origin.parent, facts.modality)
-            for photo in photos
-            if (facts := read_stem(photo.origin.name, photo.is_thermal)).mark not in _FILLERS
-        }
-        mixed = {at for at, _ in names if {(at, each) for each in _WORDS} <= names}
-        mixed |= {at for at, n in plain.items() if 0 < thermal[at] <= 2 * n <= 8 * thermal[at]}
+    rgb = {at for at in plain if folder_modality(at.parts)[0] == PARTNER}
+    mixed = {
+        at
+        for at, count in plain.items()
+        if rgb <= {at} and 0 < thermal[at] <= 2 * count <= 8 * thermal[at]
+    }
+    if not rgb:  # names of both cameras go before the folder's
+        marked = [(one.origin.parent, read_stem(one.origin.name, one.is_thermal)) for one in photos]
+        names = {(at, facts.modality) for at, facts in marked if facts.mark not in _FILLERS}
+        mixed |= {at for at, _ in names if {(at, each) for each in _WORDS} <= names}
     not_by_folder = {photo for photo in others if photo.origin.parent in mixed}
     found = [
         (None if photo in not_by_folder else candidate_by_folder(photo).modality)
