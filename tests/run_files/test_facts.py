@@ -9,14 +9,9 @@ import pytest
 import torch
 
 from mrgs.errors import RunError
-from mrgs.run_files.facts import (
-    CheckpointFacts,
-    changes,
-    facts_to_resume,
-    fingerprints,
-    incompatibilities,
-)
+from mrgs.run_files.facts import CheckpointFacts, facts_to_resume
 from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, Scene, TemperatureRange, View
+from mrgs_compare.plan import differences
 from tests.helpers.gaussians import NEAR_INFRARED
 
 LENS = Camera.from_fov(12, 10, 60)
@@ -45,12 +40,6 @@ def changed(scene: Scene, number: int, **images: PosedImage) -> Scene:
     views = list(scene.train)
     views[number] = View(view.name, images_now)
     return replace(scene, train=tuple(views))
-
-
-def differences(facts: CheckpointFacts, scene: Scene) -> str:
-    """What has changed, for the user."""
-    told = [what for what, _ in incompatibilities(facts, scene)]
-    return told[0] if told else changes(facts.images, fingerprints(scene), scene)
 
 
 def test_a_scene_that_is_the_same_is_gone_on_with():

@@ -20,7 +20,7 @@ from mrgs.check.problem import (
     cameras_by_modality,
     views_text,
 )
-from mrgs.data.images import LUMINANCE, decode
+from mrgs.data.images import LUMINANCE, NARROW, decode
 from mrgs.data.undistort import reduced, sampled
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Pixels, PointCloud, PosedImage, Scene
 from mrgs.scene.modality import in_order
@@ -46,9 +46,6 @@ _SATURATED = 0.02
 
 _OUTSIDE = 0.01
 """Share of a view's thermal pixels that gives a warning."""
-
-_NARROW = 0.1
-"""The counts of a camera have a smaller spread, as a share of 16 bits, in all photos."""
 
 _UNIFORM = 0.01
 """An image whose values have a smaller spread (1 % to 99 % quantile) has no content."""
@@ -233,10 +230,10 @@ def few_bits(evidence: Evidence) -> Iterator[Problem]:
                 f"and differ little.",
                 "Stretch them to the whole range.",
             )
-        elif modality == THERMAL and known and max(p.spread for p in photos.values()) < _NARROW:
+        elif modality == THERMAL and known and max(p.spread for p in photos.values()) < NARROW:
             yield Problem(
                 "warning",
-                f"The 16-bit thermal photos use less than {_NARROW:.0%} of the range between black "
+                f"The 16-bit thermal photos use less than {NARROW:.0%} of the range between black "
                 f"and white, like counts of a camera.",
                 "If they are counts, such as K · 100, convert them to float TIFFs in °C.",
             )

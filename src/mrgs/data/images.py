@@ -242,6 +242,9 @@ def is_coloured(image: Decoded) -> bool:
     return float(image.values.std(dim=-1, correction=0).mean()) > _COLOURED
 
 
+NARROW = 0.1
+"""The counts of a camera have a smaller spread, as a share of 16 bits, in all photos."""
+
 _COLOURED = 0.008
 """Standard deviation of the channels, 0 to 1, from which on an image is not grey."""
 

@@ -37,7 +37,7 @@ FORMAT = 3
 
 Stamp = tuple[int, int, int]
 """Size in bytes, mtime and ctime (ns). An export may give a file its old size and mtime; the
-ctime is the system's own. On Windows it is the time of creation, which an overwrite keeps."""
+ctime is the system's own."""
 
 MISSING = object()
 """Returned for a result that is not stored; a stored result may be None."""

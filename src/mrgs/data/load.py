@@ -22,6 +22,7 @@ from torch import Tensor
 from mrgs.data.colmap import FOLDERS, MODEL_FOLDERS, largest_model, read_colmap
 from mrgs.data.files import Number, contained, on_disk, read_json_object
 from mrgs.data.images import (
+    NARROW,
     Decoded,
     Kind,
     decode,
@@ -230,7 +231,7 @@ def _are_centikelvin(
         if not everyday(("kelvin*100",), rows[-1]):
             return False
     found = np.array(rows)
-    if np.ptp(found) > 0.1 * 65535:
+    if np.ptp(found) > NARROW * 65535:
         return False
     low, high = (f"{value / 100 - ZERO_CELSIUS_K:.1f}" for value in (found.min(), found.max()))
     read = f"K × 100 ({low} to {high} °C)".replace("-", "−")

@@ -310,9 +310,8 @@ class Ledger:
 
     def contents_of(self, folder: Path, without: Sequence[str] = ()) -> list[tuple[str, str]]:
         """Names and SHA-256 of all visible files below a folder, sorted. Only those that changed
-        since the last call, also of another process, are read (on Windows: of this process). Files
-        and folders whose names match a pattern of ``without`` do not count. RunError if the digests
-        cannot be written."""
+        since the last call, also of another process, are read. Files and folders whose names match
+        a pattern of ``without`` do not count. RunError if the digests cannot be written."""
         found = []
         try:
             for path in sorted(filter(Path.is_file, visible_files(folder))):

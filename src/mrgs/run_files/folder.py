@@ -350,7 +350,7 @@ class RunFolder:
         """Remove a run without a checkpoint, and the folder if that is empty; under the lock."""
         for name in ("config.yaml", "log.jsonl"):
             (self.path / name).unlink(missing_ok=True)
-        with suppress(OSError):  # something else is in it; on Windows, the locked file
+        with suppress(OSError):  # something else is in it
             (self.path / LOCK).unlink(missing_ok=True)
             self.path.rmdir()
 

@@ -150,7 +150,7 @@ def _obstacle(machine: Any) -> str | None:
     if machine.built_for is None:
         return (
             f"this torch ({machine.torch_version}) is built without CUDA: pip install "
-            f"--force-reinstall torch"
+            "--force-reinstall torch"
         )
     return (
         _driver_obstacle(machine) or _capability_obstacle(machine.cuda) or _triton_obstacle(machine)

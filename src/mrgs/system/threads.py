@@ -23,7 +23,7 @@ def waiting_factor() -> float:
     1 where they do nothing, or it is not known."""
     try:
         return 1 + os.getloadavg()[0] / (os.cpu_count() or 1)
-    except (AttributeError, OSError):  # not on Windows, nor everywhere else
+    except (AttributeError, OSError):  # not everywhere
         return 1.0
 
 

@@ -160,14 +160,21 @@ def require_same_data(folder: Path, data: SceneData, scores: Scores | None) -> N
     elif (facts.images, facts.temperature) == (data.facts.images, data.facts.temperature):
         return  # without reading all photos for every run
     else:
-        changed = next((f"it {what}" for what, _ in incompatibilities(facts, data.scene)), "")
-        changed = changed or changes(facts.images, fingerprints(data.scene), data.scene)
+        changed = differences(facts, data.scene)
     if changed:
         raise ConfigError(
             f"{folder} holds a run of other data than {data.scene.name} has now ({changed}): "
             f"choose another folder, or remove this one",
             options=("output",),
         )
+
+
+def differences(facts: CheckpointFacts, scene: Scene) -> str:
+    """How a scene differs from the run's, for a message; empty if it does not. SceneError if a
+    photo cannot be read."""
+    for what, _ in incompatibilities(facts, scene):
+        return f"it {what}"
+    return changes(facts.images, fingerprints(scene), scene)
 
 
 NEIGHBOURS_METHOD = "mrgs"

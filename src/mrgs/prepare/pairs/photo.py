@@ -179,9 +179,11 @@ def _moment(digits: str) -> datetime | None:
         return None
 
 
-def folder_modality(folders: Sequence[str]) -> tuple[Modality | None, tuple[str, ...]]:
+def folder_modality(
+    folders: Sequence[str], with_rest: bool = True
+) -> tuple[Modality | None, tuple[str, ...]]:
     """The modality that the innermost folder named after one has, and the folders without these
-    words: ``roof_rgb`` becomes ``roof``, and ``rgb`` goes."""
+    words: ``roof_rgb`` becomes ``roof``, and ``rgb`` goes; both go if not ``with_rest``."""
     for index in reversed(range(len(folders))):
         words = [word.lower() for word in re.findall(r"[A-Za-z]+|[0-9]+", folders[index])]
         named = [modality for modality, own in _WORDS.items() if own.intersection(words)]
@@ -193,7 +195,8 @@ def folder_modality(folders: Sequence[str]) -> tuple[Modality | None, tuple[str,
         if len(named) == 1:
             idle = {"flir"} | _WORDS[named[0]] | _PHOTO_WORDS | _FILLERS
             rest = "_".join(word for word in words if word not in idle)
-            return named[0], (*folders[:index], *filter(None, [rest]), *folders[index + 1 :])
+            kept = [rest] if rest and with_rest else []
+            return named[0], (*folders[:index], *kept, *folders[index + 1 :])
     return None, tuple(folders)
 
 
@@ -224,10 +227,7 @@ def candidate_by_name(photo: Photo, folders: Sequence[str] | None = None) -> Can
 def candidate_by_folder(photo: Photo, with_rest: bool = True) -> Candidate:
     """Modality by content and folder, else as ``told_apart``. Of the folder named after a modality
     the rest of its name is part of the key, or nothing."""
-    all_folders = photo.origin.parts[:-1]
-    named, folders = folder_modality(all_folders)
-    if not with_rest and named is not None and len(folders) == len(all_folders):
-        folders = tuple(part for part in all_folders if part in folders)
+    named, folders = folder_modality(photo.origin.parts[:-1], with_rest)
     is_reference = photo.is_thermal or (named is None and photo.is_reference)
     modality = REFERENCE if is_reference else named
     return candidate_by_name(photo, folders)._replace(modality=modality)
@@ -246,11 +246,8 @@ def told_apart(photos: Sequence[Photo], root_name: str) -> list[Photo]:
     )
     # A folder called RGB has the RGB photos, and a table beside many images may describe them.
     rgb = {at for at in plain if folder_modality(at.parts)[0] == PARTNER}
-    mixed = {
-        at
-        for at, count in plain.items()
-        if rgb <= {at} and 0 < thermal[at] <= 2 * count <= 8 * thermal[at]
-    }
+    alone = {at for at in plain if rgb <= {at}}
+    mixed = {at for at in alone if 0 < thermal[at] <= 2 * plain[at] <= 8 * thermal[at]}
     if not rgb:  # names of both cameras go before the folder's
         marked = [(one.origin.parent, read_stem(one.origin.name, one.is_thermal)) for one in photos]
         names = {(at, facts.modality) for at, facts in marked if facts.mark not in _FILLERS}

@@ -228,7 +228,7 @@ def by_numbers(photos: Sequence[Photo]) -> Match | None:
         f"The {PARTNER.title} photo of each {REFERENCE.title} photo is the file with the {word} "
         f"number."
     )
-    doubts = []  # without times thermal first, the usual order, is believed
+    doubts = []  # thermal first is the usual order; where no times speak against it
     if word == "previous" and likely[word] >= likely.get("next", math.inf):
         doubts.append(
             "Of photos in turns the first or the last may be missing: check that the two photos of "
